@@ -199,7 +199,9 @@ def export(
     field: Annotated[
         list[str], typer.Option("--field", metavar="NAME", help="Only this field; all but `memory` otherwise.")
     ] = [],
-    from_s: Annotated[float, typer.Option("--from", help="First second of the trajectory.")] = -math.inf,
+    from_s: Annotated[
+        float, typer.Option("--from", help="First second of the trajectory, in all tables; negative before its start.")
+    ] = -math.inf,
     to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
     force: Force = False,
 ) -> None:
@@ -224,7 +226,9 @@ def export(
 def play(
     log: LogPath,
     speed: Annotated[float, typer.Option(min=0.001, help="Pace; 1 is the pace of the run.")] = 1.0,
-    start: Annotated[float, typer.Option("--from", "--start", min=0.0, help="First second of the log to play.")] = 0.0,
+    start: Annotated[
+        float, typer.Option("--from", "--start", min=0.0, help="First second to play, from the first row on.")
+    ] = 0.0,
     end: Annotated[float | None, typer.Option("--to", "--end", help="Last second to play.")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     listen: Annotated[str, typer.Option(help="Endpoint to listen on.")] = DEFAULT_ENDPOINT,

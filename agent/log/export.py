@@ -24,7 +24,7 @@ from agent.atomic import WriteError, make_folder
 from agent.log.columns import BLOCK_ROWS, Column, Table
 from agent.log.flat import FlatColumn, flat_columns, flatten
 from agent.log.read import ColumnLog, LogError
-from agent.log.run import MissingPackage, NoSuchField, member_names, members_of
+from agent.log.run import MissingPackage, NoSuchField, member_names, members_of, on_one_time
 from agent.log.runinfo import read_info
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import Field
@@ -77,6 +77,7 @@ def export(log: ColumnLog, folder: Path, kind: Format, choice: Choice, *, replac
     """
     if kind is Format.PARQUET:
         _require_pyarrow()
+    log = on_one_time(log)
     tables, names = _chosen(log, choice), member_names(log, read_info(log))
     columns = {name: flat_columns(_fields(log, name, choice), name, names) for name in tables}
     if not replace:

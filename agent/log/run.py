@@ -8,9 +8,10 @@ from __future__ import annotations
 import weakref
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,16 @@ from agent.log.flat import FlatColumn, Members, flat_columns, flatten
 from agent.log.read import ColumnLog, LogError, open_log
 from agent.log.runinfo import RunInfo, read_info
 from agent.log.servos import ServoTable
+from agent.log.when import on_time_of
 from agent.telemetry.row.event import Event
-from agent.telemetry.row.sample import MAX_JOINTS, Field, Layout
+from agent.telemetry.row.sample import AGENT_STATE, MAX_JOINTS, Field, Layout
 from agent.telemetry.row.topics import PLANT
 from drivers.interface import Refusal
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_TIMES: Final = frozenset({"t", "stamp_ns", "utc_ns"})  # rows of another release may lack one
 
 
 class MissingPackage(Refusal):
@@ -67,7 +71,7 @@ class Rows:
 
     @property
     def t(self) -> NDArray[np.float64]:
-        """Time since the trajectory's zero, (k,) s."""
+        """Time since the trajectory's zero, (k,) s; negative before it, of arms that nobody has started a day ahead."""
         return self["t"]
 
     def __getitem__(self, field: str) -> Column:
@@ -123,7 +127,7 @@ class Run:
     """A log; `run["left"]` are the rows of an arm, `run["plant"]` the truth of a simulation."""
 
     def __init__(self, log: ColumnLog, resources: ExitStack) -> None:
-        self._log = log
+        self._log = log = on_one_time(log)
         self._close = weakref.finalize(self, resources.close)
         self.info: RunInfo = read_info(log)
         self._names = member_names(log, self.info)
@@ -202,6 +206,16 @@ def load(path: str | Path, *, folder: str | Path | None = None) -> Run:
     with ExitStack() as stack:
         log = stack.enter_context(open_log(Path(path), None if folder is None else Path(folder), any_layout=True))
         return Run(log, stack.pop_all())
+
+
+def on_one_time(log: ColumnLog) -> ColumnLog:
+    """The log with one zero for the times `t` of all rows, the trajectory's; the plant's own is where it began."""
+    if log.plant is None or not all({f.name for f in layout.fields} >= _TIMES for layout in log.layouts.values()):
+        return log
+    time = next(f for f in AGENT_STATE.fields if f.name == "t")
+    own = log.layouts[PLANT]
+    layout = replace(own, fields=tuple(time if f.name == "t" else f for f in own.fields))
+    return replace(log, plant=on_time_of(log.plant, log.agents.values()), layouts={**log.layouts, PLANT: layout})
 
 
 def members_of(log: ColumnLog) -> dict[str, Table]:

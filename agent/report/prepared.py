@@ -13,6 +13,7 @@ import numpy as np
 
 from agent.log.columns import Table
 from agent.log.runinfo import RunArm, RunInfo, read_info
+from agent.log.when import on_time_of
 from agent.report.series import (
     Array,
     PoseSeries,
@@ -21,7 +22,6 @@ from agent.report.series import (
     in_run,
     internal_wrenches,
     is_stale,
-    on_time_of,
     pose_by_arm,
     pose_by_plant,
 )
@@ -81,7 +81,7 @@ def prepare(log: AnyLog) -> Prepared:
     if log.plant is None or not len(log.plant):
         missing.append("no simulation in the log: no true object pose, realised internal force or realised load share")
     else:
-        plant = in_run(on_time_of(Table.of(log.plant), list(seen.values())), info)
+        plant = in_run(on_time_of(Table.of(log.plant), map(Table.of, log.agents.values())), info)
         true, note = pose_by_plant(seen, plant, 1.0 / info.rate_hz)
         missing += [note] if note else []
         grasps = _grasp_forces(plant, info, missing)

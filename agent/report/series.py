@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.log.unshifted import unshifted
+from agent.log.when import SAME_CLOCK_NS
 from agent.modes import Mode
 from agent.safety import Flag
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from agent.log.runinfo import Plane, RunInfo
 
 Array = NDArray[np.float64]
-
-SAME_CLOCK_NS: Final = 5_000_000_000  # stamps whose UTC is further apart are of different clocks
 
 
 # ------------------------------------------------------------------------------------------------ attitude, row by row
@@ -128,20 +127,6 @@ def in_run(rows: Table, info: RunInfo) -> Table:
 def is_stale(rows: Table) -> NDArray[np.bool_]:
     """Rows (k,) of cycles that brought no fresh state: they say what was wanted, not what was."""
     return np.asarray(rows["flags"] & Flag.STALE.value != 0)
-
-
-def on_time_of(plant: Table, arms: Sequence[Table]) -> Table:
-    """The plant's rows with `t` counted from the arms' common start, where both read the same clock.
-
-    In lockstep the plant's zero is that start and nothing changes; in real time the plant runs before it.
-    """
-    plant_ns = plant["stamp_ns"]
-    for rows in arms:
-        stamp_ns = rows["stamp_ns"]
-        if len(stamp_ns) and stamp_ns[0] < plant_ns[-1] and stamp_ns[-1] > plant_ns[0]:
-            zero_ns = np.median(stamp_ns - np.rint(rows["t"] * 1e9).astype(np.int64))
-            return plant.with_column("t", (plant_ns - zero_ns) * 1e-9)
-    return plant
 
 
 def pose_by_arm(name: str, rows: Table) -> PoseSeries:

@@ -119,6 +119,24 @@ def test_arms_fields_and_times_can_be_chosen(log: Path, tmp_path: Path) -> None:
     assert (float(table["t_s"][0]), float(table["t_s"][-1])) == (0.1, 0.195)
 
 
+def test_seconds_are_the_same_instants_in_all_tables(tmp_path: Path) -> None:
+    """The arms wait a quarter of a second for the start; the plant's own time begins with the wait."""
+    maker = LogMaker(tmp_path / "run.mcap")
+    for member in FILES:
+        rows = make_rows(member, 100)
+        rows["t"] -= 0.0 if member == "plant" else 0.25
+        maker.write(member, rows)
+    maker.flush()
+    maker.finish()
+    exported(tmp_path / "run.mcap", tmp_path / "out", choice=Choice(from_s=0.0, to_s=0.1))
+    left, plant = (read_csv(tmp_path / "out" / f"{name}.csv") for name in ("left", "plant"))
+    assert left["stamp_ns"] == plant["stamp_ns"]
+    assert [float(t) for t in plant["t_s"]] == pytest.approx([float(t) for t in left["t_s"]], abs=1e-12)
+    assert plant["sequence"] == [str(k) for k in range(50, 70)]
+    told = dict(zip(*(read_csv(tmp_path / "out" / "columns.csv")[key] for key in ("column", "meaning")), strict=True))
+    assert told["t_s"] == "time since the trajectory's zero"
+
+
 def test_a_field_is_taken_from_those_that_have_it(log: Path, tmp_path: Path) -> None:
     done = exported(log, tmp_path / "out", choice=Choice(fields=("t", "tau_sent")))
     assert set(done.rows) == {"left.csv", "right.csv", "plant.csv", "events.csv"}

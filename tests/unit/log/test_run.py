@@ -15,7 +15,9 @@ from agent.log.flat import Members, flat_columns
 from agent.log.read import LogError
 from agent.log.run import MissingPackage, NoSuchField
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
-from tests.support.telemetry.log_maker import make_log
+from agent.telemetry.row.topics import PLANT
+from tests.support.telemetry.log_maker import LogMaker, make_log
+from tests.support.telemetry.telemetry_cell import make_rows
 
 ARMS = ("left", "right")
 JOINTS = ("waist", "shoulder", "elbow")
@@ -56,6 +58,28 @@ def test_rows_are_chosen_by_time_and_by_anything(made: Made) -> None:
     )
     assert len(run["left"].between(5.0, 6.0)) == 0
     assert repr(some) == "<left: 20 rows, 0.100 s to 0.195 s, 61 fields>"
+
+
+def waited(path: Path) -> Run:
+    """A log in which the arms waited a quarter of a second for the start, which is where their time begins."""
+    maker = LogMaker(path)
+    for member in (*ARMS, PLANT):
+        rows = make_rows(member, 100)
+        rows["t"] -= 0.0 if member == PLANT else 0.25
+        maker.write(member, rows)
+    maker.flush()
+    maker.finish()
+    return load(path)
+
+
+def test_the_plant_s_rows_of_a_time_are_those_of_the_arms(tmp_path: Path) -> None:
+    run = waited(tmp_path / "run.mcap")
+    assert run.plant is not None
+    left, plant = run["left"].between(0.0, 0.1), run.plant.between(0.0, 0.1)
+    assert np.array_equal(left["stamp_ns"], plant["stamp_ns"])
+    assert plant["sequence"].tolist() == list(range(50, 70))
+    assert run.plant.frame("energy").index[0] == pytest.approx(-0.25)
+    assert run.plant.about("t") == run["left"].about("t") == "time since the trajectory's zero [s]"
 
 
 def test_a_frame_has_the_columns_under_their_names_and_the_time_as_index(
