@@ -13,8 +13,8 @@ from agent.host.notify import Notifier
 from agent.modes import TABLE, Mode
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.ring.writer import RingWriter
+from agent.telemetry.row.event import HOLDS, Level
 from agent.telemetry.row.event import Event as TextEvent
-from agent.telemetry.row.event import Level
 from agent.telemetry.row.health import grip_values, health_values
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.interface import Clock, Driver, Gripper
@@ -58,7 +58,7 @@ class Teller:
 
     def trouble(self, reason: str) -> None:
         """The arm holds by itself."""
-        self.event(Level.WARN, f"holds: {reason}")
+        self.event(Level.WARN, f"{HOLDS}{reason}")
 
     def end(self, summary: RunSummary, cpu_s: float) -> None:
         """The run is over; wall_s is what the report's real-time factor is made of."""

@@ -40,9 +40,9 @@ AT_LIMIT_FRACTION: Final = 0.999  # of tau_max: a torque above it is at its limi
 def summarise(log: AnyLog) -> Results:
     """All figures of a run.
 
-    Errors count from the end of the transient to the end of the duration, on ticks that follow the trajectory;
-    torques, saturation and loop timing count over the whole run.  What a log cannot tell is NaN, and
-    `Results.missing` says why.
+    Errors count from the end of the transient to the end of the duration, on ticks that follow the trajectory; means
+    of torques, and what the law says of itself, over the motion.  Peaks, limits, flags, modes and loop timing count
+    over every row that an arm has, before its start too.  What a log cannot tell is NaN; `Results.missing` says why.
     """
     return summarise_prepared(prepare(log))
 
@@ -64,7 +64,7 @@ def summarise_prepared(run: Prepared) -> Results:
         complete=run.log.complete and all(not c.gaps for c in rows.values()),
         by_plant=by_plant,
         by_arm=by_arm,
-        arms={arm.name: _arm(arm, run) for arm in run.arms},
+        arms={arm.name: _arm(arm, run) for arm in info.arms if arm.name in run.whole},
         rows=rows,
         arm_disagreement_m=disagreement(run),
         arm_disagreement_left_m=left_apart(run),
@@ -81,41 +81,46 @@ def summarise_prepared(run: Prepared) -> Results:
 
 
 def _arm(arm: RunArm, run: Prepared) -> ArmResults:
-    rows, info = run.rows[arm.name], run.info
+    whole, info = run.whole[arm.name], run.info
+    rows, seen = run.rows.get(arm.name, whole[:0]), run.seen.get(arm.name, whole[:0])
     period_s = 1.0 / info.rate_hz
-    e_eta, lyapunov, flags = column(rows, "e_eta"), column(rows, "lyapunov"), rows["flags"]
+    e_eta, lyapunov, flags = column(rows, "e_eta"), column(rows, "lyapunov"), whole["flags"]
     signs = np.sign(e_eta[np.isfinite(e_eta) & (e_eta != 0.0)])
-    late = column(rows, "late_s")
-    work = np.sum([column(rows, f) for f in ("read_s", "step_s", "write_s")], axis=0)
+    late = column(whole, "late_s")
+    work = np.sum([column(whole, f) for f in ("read_s", "step_s", "write_s")], axis=0)
     return ArmResults(
         model=arm.model,
-        modes=_modes(rows),
+        modes=_modes(whole),
         flags={flag.name or "": int(np.sum(flags & flag.value != 0)) for flag in Flag if flag},
-        joints={joint: _joint(arm, j, rows, period_s) for j, joint in enumerate(arm.joints)},
+        joints={joint: _joint(arm, j, whole, rows, period_s) for j, joint in enumerate(arm.joints)},
         late_cycles=int(np.sum(late > LATE_PERIODS * period_s)),
         overruns=int(np.sum(late + work > period_s)),
-        timing={f: Spread.of(column(rows, f)) for f in ("late_s", "read_s", "step_s", "write_s")},
-        bus={f: int(rows[f][-1]) for f in ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")},
+        timing={f: Spread.of(column(whole, f)) for f in ("late_s", "read_s", "step_s", "write_s")},
+        bus={f: int(whole[f][-1]) for f in ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")},
         wrench_cmd=_wrench_size(column(rows, "wrench_cmd")),
         internal_cmd=_wrench_size(column(rows, "wrench_internal")),
         internal_realised=_internal_realised(arm, run),
         load_share_cmd=arm.load_share,
         load_share_realised=_load_share(arm, run),
-        rms_velocity_error_m_per_s=_rms_velocity_error(run.seen[arm.name], slice(0, 3), info),
-        rms_angular_velocity_error_rad_per_s=_rms_velocity_error(run.seen[arm.name], slice(3, 6), info),
-        e_eta_start=float(e_eta[0]),
-        e_eta_end=float(e_eta[-1]),
+        rms_velocity_error_m_per_s=_rms_velocity_error(seen, slice(0, 3), info),
+        rms_angular_velocity_error_rad_per_s=_rms_velocity_error(seen, slice(3, 6), info),
+        e_eta_start=_at(e_eta, 0),
+        e_eta_end=_at(e_eta, -1),
         e_eta_sign_changes=int(np.sum(signs[1:] != signs[:-1])),
-        lyapunov_start_J=float(lyapunov[0]),
-        lyapunov_end_J=float(lyapunov[-1]),
+        lyapunov_start_J=_at(lyapunov, 0),
+        lyapunov_end_J=_at(lyapunov, -1),
         sigma_min=float(np.nanmin(column(rows, "sigma_min"), initial=np.inf)),
-        load_max=most(np.abs(joint_columns(rows, "tau_sent", len(arm.joints))) / np.array(arm.tau_max_Nm)),
-        shift_max_m=largest(rows, "shift", slice(0, 3)),
-        shift_max_rad=largest(rows, "shift", slice(3, 6)),
-        **_unexpected(rows),
+        load_max=most(np.abs(joint_columns(whole, "tau_sent", len(arm.joints))) / np.array(arm.tau_max_Nm)),
+        shift_max_m=largest(whole, "shift", slice(0, 3)),
+        shift_max_rad=largest(whole, "shift", slice(3, 6)),
+        **_unexpected(whole),
         hil=hil_results(rows, arm.tau_max_Nm),
-        grip=grip_results(rows, run.log.servos.get(arm.name)),
+        grip=grip_results(whole, run.log.servos.get(arm.name)),
     )
+
+
+def _at(values: Array, index: int) -> float:
+    return float(values[index]) if len(values) else NAN
 
 
 def _unexpected(rows: Table) -> dict[str, float]:
@@ -129,11 +134,11 @@ def _rms_velocity_error(seen: Table, part: slice, info: RunInfo) -> float:
     return rms(np.linalg.norm(error[settled], axis=1))
 
 
-def _joint(arm: RunArm, j: int, rows: Table, period_s: float) -> JointResults:
-    cmd, limited, sent = (component(rows, f, j) for f in ("tau_cmd", "tau_limited", "tau_sent"))
-    law = sent - added_to(rows, j)
+def _joint(arm: RunArm, j: int, whole: Table, rows: Table, period_s: float) -> JointResults:
+    cmd, limited, sent = (component(whole, f, j) for f in ("tau_cmd", "tau_limited", "tau_sent"))
+    peak = most(np.abs(sent - added_to(whole, j)))
+    law = component(rows, "tau_sent", j) - added_to(rows, j)
     consecutive = np.diff(rows["sequence"]) == 1
-    peak = most(np.abs(law))
     return JointResults(
         peak_torque_Nm=peak,
         peak_torque_fraction=peak / arm.tau_stall_Nm[j],

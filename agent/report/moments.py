@@ -26,12 +26,13 @@ _SAME_PACE: Final = 0.02  # relative: a run that took as long by the wall as by 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Something that happened at `t` s of the run."""
+    """Something that happened, and the time `t` s of the run at which it is shown: at its start what was before."""
 
     t: float
     source: str
     text: str
     grave: bool = False
+    happened: float = math.nan  # s of the run, where that is known
 
     @property
     def weighty(self) -> bool:
@@ -41,14 +42,20 @@ class Moment:
     @property
     def line(self) -> str:
         """For a list."""
-        return f"{self.t:.2f} s {self.source}: {self.text}"
+        return f"{self.t if math.isnan(self.happened) else self.happened:.3f} s {self.source}: {self.text}"
 
 
 def moments_of(run: Prepared) -> list[Moment]:
     """The events of a run that has a row, by its time."""
     by_wall = _by_the_wall(run)
     found = [
-        Moment(_time_of(e, _rows(run, e), run.info.rate_hz, by_wall), e.source, e.text, e.level >= Level.WARN)
+        Moment(
+            _time_of(e, _rows(run, e), run.info.rate_hz, by_wall),
+            e.source,
+            e.text,
+            e.level >= Level.WARN,
+            trajectory_time(e, _rows(run, e)),
+        )
         for e in run.log.events
     ]
     return sorted(found, key=lambda moment: moment.t)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from agent.log.when import STARTED_S
+
 ABSENT: Final = "–"  # not measured
 SMALLEST: Final = 1e-6  # what is smaller is shown as that
 LARGEST: Final = 1e9  # what is larger is shown as that: a law gone astray
@@ -32,6 +34,11 @@ def millimetres(value: float) -> str:
 def milliradians(value: float) -> str:
     """An angle in mrad."""
     return number(value, "mrad", 1e3)
+
+
+def instant(t: float) -> str:
+    """A time of the trajectory, to the millisecond: which of two arms was first is a matter of one cycle."""
+    return f"{t:.3f}{SPACE}s" if t > STARTED_S else "before a start"
 
 
 def milliseconds(value: float) -> str:

@@ -25,6 +25,7 @@ from agent.report.series import (
     pose_by_arm,
     pose_by_plant,
 )
+from agent.telemetry.row.event import HOLDS
 
 if TYPE_CHECKING:
     from agent.log.read import AnyLog
@@ -44,11 +45,12 @@ class GraspForces:
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What report and figures work from; arms without a row are in `info.arms` only."""
+    """What report and figures work from; arms without a row of the motion are in `info.arms` and perhaps in `whole`."""
 
     log: AnyLog
     info: RunInfo
-    rows: Mapping[str, Table]  # of the run itself, per arm with at least one row
+    whole: Mapping[str, Table]  # every row of an arm that has one: its wait for the start, and what came behind the end
+    rows: Mapping[str, Table]  # of the motion, per arm with at least one
     seen: Mapping[str, Table]  # those with a fresh state
     true: PoseSeries | None
     grasps: GraspForces | None
@@ -56,7 +58,7 @@ class Prepared:
 
     @property
     def arms(self) -> list[RunArm]:
-        """The arms that have rows, in the order of the run."""
+        """The arms that have rows of the motion, in the order of the run."""
         return [arm for arm in self.info.arms if arm.name in self.rows]
 
     def pose(self, arm: str) -> PoseSeries:
@@ -70,9 +72,9 @@ def prepare(log: AnyLog) -> Prepared:
     info = read_info(log)
     missing = [*info.notes, *log.problems, *_parted(log), *_losses(log), *_strangers(log)]
     described = [arm.name for arm in info.arms]
-    found = {name: in_run(Table.of(log.agents[name]), info) for name in described if name in log.agents}
-    rows = {name: own for name, own in found.items() if len(own)}
-    missing += [f"no row of the arm {name}" for name in described if name not in rows]
+    whole = {name: Table.of(log.agents[name]) for name in described if len(log.agents.get(name, ()))}
+    rows = {name: own for name, every in whole.items() if len(own := in_run(every, info))}
+    missing += [_without_motion(log, name, whole) for name in described if name not in rows]
     stale = {name: is_stale(own) for name, own in rows.items()}
     count = sum(int(own.sum()) for own in stale.values())
     missing += [f"{count} cycles brought no fresh joint state and count in no error"] if count else []
@@ -85,7 +87,15 @@ def prepare(log: AnyLog) -> Prepared:
         true, note = pose_by_plant(seen, plant, 1.0 / info.rate_hz)
         missing += [note] if note else []
         grasps = _grasp_forces(plant, info, missing)
-    return Prepared(log, info, rows, seen, true, grasps, tuple(missing))
+    return Prepared(log, info, whole, rows, seen, true, grasps, tuple(missing))
+
+
+def _without_motion(log: AnyLog, name: str, whole: Mapping[str, Table]) -> str:
+    """That an arm has no row of the motion, and what it says of why."""
+    if name not in whole:
+        return f"no row of the arm {name}"
+    why = next((e.text for e in log.events if e.source == name and e.text.startswith(HOLDS)), "")
+    return f"no row of the arm {name} is of the motion" + (f": {name} {why}" if why else "")
 
 
 def _parted(log: AnyLog) -> list[str]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class HilResults:
-    """An arm in the loop over the whole run."""
+    """An arm in the loop over the motion."""
 
     added_max: Annotated[float, Unit("")]  # largest addition, of the limit of its joint
     apart_max_rad: Annotated[float, Unit("rad")]  # largest difference of a joint between arm and twin

@@ -19,7 +19,7 @@ from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, u
 from agent.report.rehearsal import HilResults
 from agent.report.series import Array
 
-SCHEMA: Final = 1  # of results.json; grows when a key changes its meaning
+SCHEMA: Final = 2  # of results.json; grows when a key changes its meaning
 
 
 class Judgement(Enum):
@@ -81,7 +81,10 @@ class PoseErrors:
 
 @dataclass(frozen=True, slots=True)
 class JointResults:
-    """Torque of one joint over the whole run; of an arm in the loop without what its driver added."""
+    """Torque of one joint; of an arm in the loop without what its driver added.
+
+    Means are of the motion, the rest of the whole run, with the wait for the start and what came behind the end.
+    """
 
     peak_torque_Nm: Torque
     peak_torque_fraction: Ratio  # of stall

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Final
 
 from agent.log.runinfo import Bounded
 from agent.modes import Mode
-from agent.report.numbers import ABSENT, millimetres, milliradians, milliseconds, number
+from agent.report.numbers import ABSENT, instant, millimetres, milliradians, milliseconds, number
 from agent.report.results import Judgement, PoseErrors, Results, WrenchSize
 
 WORDS: Final = {Judgement.MET: "✓ met", Judgement.NOT_MET: "✗ not met", Judgement.NOT_SHOWN: "? not shown"}
@@ -58,7 +59,7 @@ def lines(results: Results) -> list[Line]:
     ]
     if results.rehearsing:
         found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(results.rehearsing)))
-    found += [Line("HELD before its end", f"{arm} from {number(t, 's')}") for arm, t in _held(results)]
+    found += [Line("HELD before its end", f"{arm} from {instant(t)}") for arm, t in _held(results)]
     if math.isfinite(results.set_down_error_m):
         off = f"{millimetres(results.set_down_error_m)}, {milliradians(results.set_down_error_rad)}"
         found.append(Line("object set down beside its place by", off))
@@ -72,12 +73,13 @@ def _disagreement(results: Results) -> str:
 
 
 def _held(results: Results) -> list[tuple[str, float]]:
-    """Arms that left the motion before it was over, and when."""
+    """Arms that held before the motion was over, or before it began, and when; the first of them first."""
     end_s = results.info.duration_s - 0.5 / results.info.rate_hz
-    begun = {
-        name: [t for t, mode in a.modes if mode == Mode.HOLD.name and t < end_s] for name, a in results.arms.items()
+    begun = {  # a start that is taken back, or the way home after the end, counts towards a day ahead again
+        name: [t for t, mode in takewhile(lambda begins: begins[0] < end_s, a.modes) if mode == Mode.HOLD.name]
+        for name, a in results.arms.items()
     }
-    return [(name, times[0]) for name, times in begun.items() if times]
+    return sorted(((name, times[0]) for name, times in begun.items() if times), key=lambda held: held[1])
 
 
 def _bounded(results: Results, what: str, bounded: Bounded) -> Line:
@@ -163,7 +165,7 @@ def _torques(results: Results) -> Table:
         for arm, a in results.arms.items()
         for joint, r in a.joints.items()
     )
-    return Table("Torque of each joint, whole run", header, rows)
+    return Table("Torque of each joint: peak and limits of the whole run, rms and change of the motion", header, rows)
 
 
 def _forces(results: Results) -> Table:
@@ -213,7 +215,7 @@ def _in_the_loop(results: Results) -> Table:
         for name, a in results.arms.items()
         if a.hil is not None
     )
-    return Table("Real arms in the loop of a simulated cell, whole run", header, rows)
+    return Table("Real arms in the loop of a simulated cell", header, rows)
 
 
 def _grips(results: Results) -> Table:
@@ -278,7 +280,7 @@ def _states(results: Results) -> Table:
     rows = tuple(
         (
             name,
-            ", ".join(f"{mode} from {number(t, 's')}" for t, mode in a.modes),
+            ", ".join(f"{mode} from {instant(t)}" for t, mode in a.modes),
             ", ".join(f"{flag} {count}" for flag, count in a.flags.items() if count) or "none",
             f"{a.e_eta_start:.6f} → {a.e_eta_end:.6f}",
             f"{a.lyapunov_start_J:.2g} → {a.lyapunov_end_J:.2g} J",

@@ -9,6 +9,7 @@ from enum import IntEnum
 from typing import Any, Final
 
 TEXT_MAX_BYTES: Final = 1000
+HOLDS: Final = "holds: "  # before the reason in what an arm tells when it holds by itself
 
 
 class Level(IntEnum):

@@ -121,31 +121,32 @@ def errors(place: str, t: Array, e_p: Array, e_xi: Array, transient_s: float) ->
 
 def of_arm(log: Read, arm: str) -> dict[str, float]:
     rows, period_s, place = log.in_run(arm), 1.0 / log.run["rate_hz"], f"arms.{arm}"
+    every = log.rows[arm]  # its wait for the start, too
     assert (rows["mode"] == TRACK).all()
     e_xi = product(rows["quat_object_des"], conjugate(rows["quat_object"]))
     found = errors(f"by_arm.{arm}", rows["t"], rows["p_object"] - rows["p_object_des"], e_xi, log.run["transient_s"])
     for j, joint in enumerate(log.joints[arm]):
-        sent = rows["tau_sent"][:, j]
-        cut = np.abs(rows["tau_limited"][:, j] - rows["tau_cmd"][:, j]) > 1e-9
+        sent, peak_Nm = rows["tau_sent"][:, j], np.abs(every["tau_sent"][:, j]).max()
+        cut = np.abs(every["tau_limited"][:, j] - every["tau_cmd"][:, j]) > 1e-9
         found |= {
-            f"{place}.joints.{joint}.peak_torque_Nm": np.abs(sent).max(),
+            f"{place}.joints.{joint}.peak_torque_Nm": peak_Nm,
             f"{place}.joints.{joint}.rms_torque_Nm": rms(sent),
             f"{place}.joints.{joint}.chatter_Nm": np.abs(np.diff(sent)).mean(),
             f"{place}.joints.{joint}.limited_s": cut.sum() * period_s,
         }
         if log.run["cell"] == "paper":
-            found[f"peak_torque_fraction.{arm}.{joint}"] = np.abs(sent).max() / STALL_OF_SERVO_Nm[joint]
-    work = rows["read_s"] + rows["step_s"] + rows["write_s"]
+            found[f"peak_torque_fraction.{arm}.{joint}"] = peak_Nm / STALL_OF_SERVO_Nm[joint]
+    work = every["read_s"] + every["step_s"] + every["write_s"]
     after = rows[rows["t"] >= log.run["transient_s"] - 1e-9]
     v_error = after["v_object"] - after["v_object_des"]
     found |= {
-        f"{place}.late_cycles": (rows["late_s"] > period_s).sum(),
-        f"{place}.overruns": (rows["late_s"] + work > period_s).sum(),
-        f"{place}.timing.step_s.p50_s": np.sort(rows["step_s"])[int(np.ceil(0.5 * (len(rows) - 1)))],
-        f"{place}.timing.step_s.p99_s": np.sort(rows["step_s"])[int(np.ceil(0.99 * (len(rows) - 1)))],
-        f"{place}.timing.step_s.max_s": rows["step_s"].max(),
-        f"{place}.shift_max_m": np.linalg.norm(rows["shift"][:, :3], axis=1).max(),
-        f"{place}.shift_max_rad": np.linalg.norm(rows["shift"][:, 3:], axis=1).max(),
+        f"{place}.late_cycles": (every["late_s"] > period_s).sum(),
+        f"{place}.overruns": (every["late_s"] + work > period_s).sum(),
+        f"{place}.timing.step_s.p50_s": np.sort(every["step_s"])[int(np.ceil(0.5 * (len(every) - 1)))],
+        f"{place}.timing.step_s.p99_s": np.sort(every["step_s"])[int(np.ceil(0.99 * (len(every) - 1)))],
+        f"{place}.timing.step_s.max_s": every["step_s"].max(),
+        f"{place}.shift_max_m": np.linalg.norm(every["shift"][:, :3], axis=1).max(),
+        f"{place}.shift_max_rad": np.linalg.norm(every["shift"][:, 3:], axis=1).max(),
         f"{place}.sigma_min": rows["sigma_min"].min(),
         f"{place}.rms_velocity_error_m_per_s": rms(np.linalg.norm(v_error[:, :3], axis=1)),
         f"rows.{arm}.recorded": len(log.rows[arm]),

@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from agent.control.alignment import shifted
 from agent.control.trajectory import Desired
+from agent.log.read import RunLog
 from agent.log.runinfo import Bounded
 from agent.modes import Mode
 from agent.report.compare import label
@@ -25,6 +26,7 @@ from agent.report.results import Judgement, Results
 from agent.report.series import attitude_error, rotation_angle, rotation_vector
 from agent.report.tables import lines
 from agent.safety import Flag
+from agent.telemetry.row.event import Event, Level
 from tests.support.telemetry.small_run import RATE_HZ, TICKS, keep, small_run
 from tests.support.telemetry.synthetic_run import (
     agent_rows,
@@ -290,6 +292,14 @@ def test_an_arm_without_rows_leaves_the_bound_open_where_nothing_else_sees_the_o
     assert summarise(log).verdict(Bounded.POSITION) is verdict
 
 
+def waited(log: RunLog) -> RunLog:
+    """The same log with its first half second as a wait for the start."""
+    for rows in log.agents.values():
+        rows["t"] = (rows["stamp_ns"] - 500_000_000) * 1e-9
+        rows["mode"][:100] = Mode.READY
+    return log
+
+
 def held(results: Results) -> list[str]:
     """What the table of results says of arms that held."""
     return [line.figure for line in lines(results) if line.what == "HELD before its end"]
@@ -304,15 +314,53 @@ def test_a_held_object_counts_in_no_error_and_leaves_the_bound_open() -> None:
     assert results.by_plant.not_tracking_rows == 100
     assert results.verdict(Bounded.POSITION) is Judgement.NOT_SHOWN
     assert results.arms["right"].modes == ((0.0, "TRACK"), (1.5, "HOLD"))
-    assert held(results) == ["right from 1.50\N{NO-BREAK SPACE}s"]
+    assert held(results) == ["right from 1.500\N{NO-BREAK SPACE}s"]
 
 
 def test_a_hold_at_the_end_of_the_motion_is_none_before_it() -> None:
     log = small_run()
     log.agents["right"]["mode"][-1:] = Mode.HOLD
-    for t, found in ((1.995, ["right from 2.00\N{NO-BREAK SPACE}s"]), (2.0, [])):
+    for t, found in ((1.995, ["right from 1.995\N{NO-BREAK SPACE}s"]), (2.0, [])):
         log.agents["right"]["t"][-1:] = t
         assert held(summarise(log)) == found
+
+
+def test_a_hold_is_told_when_it_was_and_the_first_of_them_first() -> None:
+    log = waited(small_run())
+    log.agents["left"]["mode"][300:] = Mode.HOLD
+    log.agents["right"]["mode"][299:] = Mode.HOLD
+    assert held(summarise(log)) == ["right from 0.995\N{NO-BREAK SPACE}s", "left from 1.000\N{NO-BREAK SPACE}s"]
+    log.agents["left"]["mode"][1:] = Mode.HOLD
+    assert held(summarise(log))[0] == "left from -0.495\N{NO-BREAK SPACE}s"
+
+
+def test_what_an_arm_does_behind_the_end_is_no_hold_before_it() -> None:
+    """On the way home nobody has given another start: the time counts towards a day ahead again."""
+    log = small_run()
+    for rows in log.agents.values():
+        rows["t"] += 1.0
+        rows["mode"][200:] = Mode.LOWER
+        rows["mode"][300:], rows["t"][300:] = Mode.HOLD, rows["t"][300:] - 86_400.0
+    assert held(summarise(log)) == []
+
+
+def test_an_arm_that_held_before_a_start_is_told_with_its_reason_and_its_figures() -> None:
+    log = small_run()
+    rows = log.agents["right"]
+    rows["t"] -= 86_400.0
+    rows["mode"][:10], rows["mode"][10:] = Mode.READY, Mode.HOLD
+    rows["late_s"][:7], rows["tau_sent"][5, 1] = 0.02, 2.9
+    told = [Event(5, "left", Level.WARN, "holds: left's own"), Event(6, "right", Level.WARN, "holds: monitor speed")]
+    results = summarise(replace(log, events=told))
+    assert held(results) == ["right from before a start"]
+    assert results.missing[0] == "no row of the arm right is of the motion: right holds: monitor speed"
+    assert results.arms["right"].late_cycles == results.late_cycles == 7
+    assert results.arms["right"].joints["elbow"].peak_torque_Nm == 2.9
+    assert math.isnan(results.arms["right"].e_eta_start)
+    assert set(results.by_arm) == {"left"}
+    assert results.verdict(Bounded.POSITION) is Judgement.MET, "the object was seen all the time"
+    text = json.dumps(results.to_json(), allow_nan=False)
+    assert json.loads(text)["arms"]["right"]["joints"]["elbow"]["rms_torque_Nm"] is None
 
 
 def test_a_rehearsal_is_called_one_and_says_what_was_added_and_how_far_the_twin_was() -> None:

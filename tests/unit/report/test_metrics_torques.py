@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from agent.modes import Mode
 from agent.report.metrics import summarise
 from agent.report.series import internal_wrenches, rotate
 from agent.safety import Flag
@@ -36,6 +37,30 @@ def test_peak_torque_is_a_fraction_of_stall_and_the_worst_is_named() -> None:
         "arm": "right",
         "joint": "wrist_angle",
     }
+
+
+def test_peaks_and_limits_are_of_the_whole_run_and_means_of_the_motion() -> None:
+    """Half a second of waiting for the start, and half a second of holding behind the end."""
+    log = small_run()
+    for rows in log.agents.values():
+        rows["t"] = (rows["stamp_ns"] - 500_000_000) * 1e-9
+        rows["t"][350:] += 1.0
+        rows["mode"][:100] = Mode.READY
+    rows = log.agents["left"]
+    rows["tau_sent"][:, 0], rows["tau_sent"][10:20, 0], rows["tau_sent"][350, 0] = 0.5, -3.0, 2.0
+    rows["tau_cmd"][10:20, 0] = 1.0
+    rows["flags"][10:14], rows["late_s"][10:13], rows["late_s"][390] = Flag.SATURATED, 0.02, 0.03
+    rows["bus_timeouts"], rows["bus_timeouts"][360:] = 1, 4
+    rows["shift"][:50, 0], rows["unexpected"][20, 0] = 0.004, 1.25
+    results = summarise(log)
+    left, shoulder = results.arms["left"], results.arms["left"].joints["shoulder"]
+    assert (shoulder.peak_torque_Nm, shoulder.rms_torque_Nm, shoulder.chatter_Nm) == (3.0, 0.5, 0.0)
+    assert (shoulder.limited_s, shoulder.at_limit_s) == (pytest.approx(0.05), pytest.approx(0.05))
+    assert (left.flags["SATURATED"], left.late_cycles, left.overruns, left.bus["bus_timeouts"]) == (4, 4, 4, 4)
+    assert (left.timing["late_s"].max_s, left.load_max) == (0.03, 1.0)
+    assert (left.shift_max_m, left.unexpected_fast_max_N) == (0.004, 1.25)
+    assert left.modes == ((-0.5, "READY"), (0.0, "TRACK"))
+    assert results.worst_torque == (0.5, "left", "shoulder")
 
 
 def test_chatter_is_the_mean_change_per_tick_and_a_gap_is_no_change() -> None:

@@ -186,9 +186,9 @@ def test_what_it_shows_is_explained_beside_it(player: Player, server: Server) ->
 
 
 def test_an_event_is_gone_to_and_nothing_is_no_event(player: Player, server: Server, clock: Clock) -> None:
-    assert player._go_to.options == (NOTHING, "0.50 s left: mode TRACK → HOLD")
+    assert player._go_to.options == (NOTHING, "0.500 s left: mode TRACK → HOLD")
     assert player._go_to.visible
-    player._go_to._impl.value = "0.50 s left: mode TRACK → HOLD"
+    player._go_to._impl.value = "0.500 s left: mode TRACK → HOLD"
     tell(player._go_to)
     player.step()
     assert place(player, OBJECT) == pytest.approx(staged().motion.object[10, :3])
@@ -496,7 +496,8 @@ def test_events_stand_at_their_time_on_the_runs_axis() -> None:
     assert [(m.t, m.source, m.grave) for m in found] == [
         (0.0, "left", False), (0.0, "right", True), (1.25, "left", True), (2.0, "right", False),
     ]  # fmt: skip
-    assert found[2].line == "1.25 s left: mode TRACK → HOLD"
+    assert found[2].line == "1.250 s left: mode TRACK → HOLD"
+    assert found[1].line == "-0.500 s right: safety: stale", "it is shown at the start, and told as it was"
     assert [m.t for m in around(found, 2.0)] == [2.0, 1.25, 0.0, 0.0]
     assert [m.t for m in around(found, 4.5)] == [2.0]
 
