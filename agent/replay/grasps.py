@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from agent.config.cell import Cell
 from agent.log.columns import Table
 from agent.log.read import ColumnLog
+from agent.log.when import on_time_of
 from agent.modes import Mode
 from agent.replay.source import ReplayError
 from agent.report.series import attitude_error, grasp_force, nearest, rotation_vector
@@ -47,12 +48,10 @@ class Grasps:
 def grasps(log: ColumnLog, cell: Cell) -> Grasps:
     """Raises ReplayError without a tick in which every arm follows."""
     seen = {name: _tracking(rows) for name, rows in log.agents.items()}
-    plant = log.plant if log.plant is not None and len(log.plant) else None
+    plant = on_time_of(log.plant, log.agents.values()) if log.plant is not None and len(log.plant) else None
     others = list(seen.values()) if plant is None else [plant]
-    base = others[0]["utc_ns"]
-    half_ns = round(0.5e9 / cell.file.rate_hz)
-    at = {name: nearest(rows["utc_ns"], base, half_ns) for name, rows in seen.items()}
-    common = np.all([i >= 0 for i in at.values()], axis=0)
+    at = dict(zip(seen, _same_instants(list(seen.values()), others[0], 1.0 / cell.file.rate_hz), strict=True))
+    common: NDArray[np.bool_] = np.all([i >= 0 for i in at.values()], axis=0)
     if not common.any():
         raise ReplayError(
             f"grasps of {log.path}", found="no tick in which every arm follows the trajectory", expected="some",
@@ -78,6 +77,19 @@ def _tracking(rows: Table) -> Table:
     fresh = rows["flags"] & np.uint32(Flag.STALE.value) == 0
     chosen: NDArray[np.bool_] = (rows["mode"] == Mode.TRACK) & fresh
     return rows[chosen]
+
+
+def _same_instants(arms: Sequence[Table], base: Table, period_s: float) -> list[NDArray[np.intp]]:
+    """For each arm and row of base the arm's row of that instant, −1 where there is none.
+
+    By the trajectory's time, which hosts whose clocks differ have in common, as the report does; by UTC where one log
+    has several motions, whose times come again.
+    """
+    half_ns = round(0.5e9 * period_s)
+    times = [np.rint(np.nan_to_num(rows["t"], nan=-1e9) * 1e9).astype(np.int64) for rows in (base, *arms)]
+    if any(np.any(np.diff(t) < 0) for t in times):
+        times = [rows["utc_ns"] for rows in (base, *arms)]
+    return [nearest(own, times[0], half_ns) for own in times[1:]]
 
 
 def _pose(rows: Table, at: NDArray[np.intp]) -> tuple[Array, Array]:

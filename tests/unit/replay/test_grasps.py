@@ -87,6 +87,28 @@ def test_a_simulation_that_left_no_row_is_no_truth() -> None:
 
 def test_ticks_are_the_same_up_to_half_a_period_apart() -> None:
     left, right = rows(10), rows(10)
-    right["utc_ns"][:3] += PERIOD_NS // 2
-    right["utc_ns"][6] += PERIOD_NS // 2 + 1
+    right["t"][:3] += 1e-9 * (PERIOD_NS // 2)
+    right["t"][6] += 1e-9 * (PERIOD_NS // 2 + 1)
     assert [arm.rows for arm in grasps(log_of(left, right), paper()).arms] == [9, 9]
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_a_utc_that_is_off_makes_no_other_pairs(truth: bool) -> None:
+    """One arm's clock of the day jumps in the run; the trajectory's time says what belongs together."""
+    left, right, plant = rows(40), rows(40), plant_rows(rows(40))
+    for own in (left, right, plant):
+        own["p_object"][:, 0] = np.arange(40.0)
+    right["utc_ns"][10:] -= 7 * PERIOD_NS
+    left["utc_ns"] += 3 * PERIOD_NS
+    right["stamp_ns"] += 10**14  # of another host
+    found = grasps(log_of(left, right, plant if truth else None), paper())
+    assert [(arm.rows, arm.offset_m) for arm in found.arms] == [(40, 0.0), (40, 0.0)]
+
+
+def test_a_log_of_two_motions_is_paired_by_utc() -> None:
+    left, right, plant = rows(40), rows(40), plant_rows(rows(40))
+    for own in (left, right, plant):
+        own["t"][20:] -= 20 * 1e-9 * PERIOD_NS
+        own["p_object"][:, 0] = np.arange(40.0)
+    found = grasps(log_of(left, right, plant), paper())
+    assert [(arm.rows, arm.offset_m) for arm in found.arms] == [(40, 0.0), (40, 0.0)]
