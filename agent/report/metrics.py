@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -23,7 +24,7 @@ from agent.report.results import (
     Spread,
     WrenchSize,
 )
-from agent.report.series import Array, column, component, grasp_force, joint_columns, missing_ranges
+from agent.report.series import Array, column, component, grasp_force, joint_columns, largest_force, missing_ranges
 from agent.report.together import largest
 from agent.safety import Flag
 from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
@@ -68,6 +69,7 @@ def summarise_prepared(run: Prepared) -> Results:
         rows=rows,
         arm_disagreement_m=disagreement(run),
         arm_disagreement_left_m=left_apart(run),
+        internal_force_mean_N=_internal_force_mean_N(run),
         real_time_factor=factor,
         events=len(run.log.events),
         missing=tuple(missing),
@@ -161,6 +163,18 @@ def _internal_realised(arm: RunArm, run: Prepared) -> WrenchSize:
     settled, i = run.grasps.t >= run.info.transient_s, run.info.arms.index(arm)
     force, moment = run.grasps.internal_force[settled, i], run.grasps.internal_moment[settled, i]
     return WrenchSize(most(force), rms(force), most(moment), rms(moment))
+
+
+def _internal_force_mean_N(run: Prepared) -> float:
+    """Mean over the ticks after the transient, until the first arm holds, of the force of the arm with the most."""
+    if run.grasps is None:
+        return NAN
+    begin_s, until_s, t = run.info.transient_s, math.inf, run.grasps.t
+    for rows in run.rows.values():
+        held = rows["t"][(rows["mode"] != Mode.TRACK) & (rows["t"] >= begin_s)]
+        until_s = min(until_s, *held[:1].tolist(), math.inf)
+    counted = (t >= begin_s) & (t < until_s)
+    return mean(largest_force(run.grasps.internal_force[counted]))
 
 
 def _load_share(arm: RunArm, run: Prepared) -> float:

@@ -166,6 +166,7 @@ class Results:
     rows: Mapping[str, Completeness]
     arm_disagreement_m: Metres  # largest distance between two arms' views of the object
     arm_disagreement_left_m: Metres  # of what their shifts leave of it at the end; NaN where no arm has shifted
+    internal_force_mean_N: Annotated[float, Unit("N")]  # true, of the arm with the most at each instant, as in a study
     real_time_factor: Annotated[float, Unit("", Better.HIGHER)]
     events: Annotated[int, Unit("", Better.NEITHER)]
     missing: tuple[str, ...]
@@ -272,6 +273,7 @@ class Results:
             "late_cycles": self.late_cycles,
             "arm_disagreement_m": self.arm_disagreement_m,
             "arm_disagreement_left_m": self.arm_disagreement_left_m,
+            "internal_force_mean_N": self.internal_force_mean_N,
             "events": self.events,
             "by_plant": self.by_plant,
             "by_arm": self.by_arm,

@@ -221,6 +221,12 @@ def missing_ranges(sequence: NDArray[np.uint64], ticks: int) -> list[tuple[int, 
     return [(int(edges[i]) + 1, int(edges[i + 1]) - 1) for i in jumps]
 
 
+def largest_force(internal: Array) -> Array:
+    """Size of the force of the arm with the most, `(k,)` N, from sizes `(k, N)`; what is no number counts as none."""
+    most = internal.max(axis=1)
+    return np.asarray(np.where(np.isfinite(most), most, 0.0))
+
+
 def internal_wrenches(wrenches: Array, quat: Array, p_object_ee: Array | None) -> Array:
     """Internal part of the grasp wrenches, (I − G* Gᵀ) f, `(k, N, 6)`; moments are NaN without the grasp offsets.
 

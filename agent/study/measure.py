@@ -13,7 +13,7 @@ from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
 from agent.control.quaternion import angle_between
-from agent.report.series import internal_wrenches
+from agent.report.series import internal_wrenches, largest_force
 from agent.study.fault import Fault
 from agent.study.lab import Laboratory, Run
 from drivers.interface import DriverError, Vector
@@ -180,8 +180,7 @@ class _Seen:
         if not self._wrench:
             return np.zeros(0)
         internal = internal_wrenches(np.array(self._wrench), np.array(self._quat), None)
-        sizes: Vector = np.linalg.norm(internal[:, :, :3], axis=2).max(axis=1)
-        return np.where(np.isfinite(sizes), sizes, 0.0)
+        return largest_force(np.linalg.norm(internal[:, :, :3], axis=2))
 
 
 def _largest(values: Vector) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,9 @@ def test_the_worst_run_of_a_study_is_repeated_by_coop_run(tmp_path: Path) -> Non
     log = read_log(tmp_path / "out" / "run.mcap")
     rows = log.plant
     assert rows is not None
+    repeated, told = measure(Laboratory(load_cell(path)), None), json.loads((tmp_path / "out/results.json").read_text())
+    assert told["peak_torque_fraction"]["worst"]["value"] == pytest.approx(repeated.peak_torque_fraction)
+    assert told["internal_force_mean_N"] == pytest.approx(repeated.internal_force_mean_N, rel=0.02)
     run, seen = Run(Laboratory(load_cell(path)), None), []
     for tick in range(120):
         if tick % 4 == 0:

@@ -63,6 +63,18 @@ def test_peaks_and_limits_are_of_the_whole_run_and_means_of_the_motion() -> None
     assert results.worst_torque == (0.5, "left", "shoulder")
 
 
+def test_the_mean_internal_force_is_of_the_arm_with_the_most_until_the_first_hold() -> None:
+    log = small_run()
+    wrench = log.plant["grasp_wrench"]
+    wrench[:100, 0], wrench[100:200, 0], wrench[200:, 0] = 99.0, 2.0, 6.0  # the arms pull for half of it each
+    assert summarise(log).internal_force_mean_N == pytest.approx((100 * 1.0 + 200 * 3.0) / 300)
+    log.agents["right"]["mode"][300:] = Mode.HOLD
+    results = summarise(log)
+    assert results.internal_force_mean_N == pytest.approx(2.0)
+    assert results.to_json()["internal_force_mean_N"] == results.internal_force_mean_N
+    assert math.isnan(summarise(small_run(plant=False)).internal_force_mean_N)
+
+
 def test_chatter_is_the_mean_change_per_tick_and_a_gap_is_no_change() -> None:
     log = small_run()
     rows = log.agents["left"]
