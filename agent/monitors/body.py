@@ -6,7 +6,7 @@ import math
 
 from agent.modes import Mode
 from agent.monitors.bounds import Bounds
-from agent.monitors.tick import Tick, sentence
+from agent.monitors.tick import Tick, digits, sentence
 from agent.phases import ALONE
 from agent.safety import Flag
 
@@ -33,9 +33,11 @@ class Start:
         off_m, off_rad = math.hypot(*shift[:3]), math.hypot(*shift[3:])
         if off_m <= AT_LIMIT * self._start_m and off_rad <= AT_LIMIT * self._start_rad:
             return ""
+        mm, mrad, most_mm, most_mrad = (1e3 * x for x in (off_m, off_rad, self._start_m, self._start_rad))
+        m, rad = digits(mm, most_mm, 1), digits(mrad, most_mrad, 0)
         return sentence(
-            "start of the object", f"{off_m * 1e3:.1f} mm and {off_rad * 1e3:.0f} mrad from where the cell states it",
-            f"at most {self._start_m * 1e3:g} mm and {self._start_rad * 1e3:g} mrad",
+            "start of the object", f"{mm:.{m}f} mm and {mrad:.{rad}f} mrad from where the cell states it",
+            f"at most {most_mm:g} mm and {most_mrad:g} mrad",
             "put it there; or look for another arm on this port, or a base, a grasp, a joint's zero that is not the "
             "file's; safety.start_error_max_m and start_error_max_rad bound it",
         )  # fmt: skip
@@ -54,8 +56,9 @@ class Workspace:
             return ""
         for axis, x, (low, high) in zip(_AXES, terms.kinematics.p_object, self._box, strict=True):
             if not low <= x <= high:
+                n = max(digits(x, low, 3), digits(x, high, 3))
                 return sentence(
-                    f"{axis} of the object", f"{x:.3f} m", f"{low:.3f} to {high:.3f} m",
+                    f"{axis} of the object", f"{x:.{n}f} m", f"{low:.{n}f} to {high:.{n}f} m",
                     "see what moved it; safety.monitors.workspace_m sets the box",
                 )  # fmt: skip
         return ""

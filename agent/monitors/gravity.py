@@ -19,7 +19,7 @@ from agent.control.models import Matrix
 from agent.control.terms import Terms
 from agent.modes import Mode
 from agent.monitors.bounds import Bounds
-from agent.monitors.tick import Tick, sentence
+from agent.monitors.tick import Tick, digits, sentence
 from drivers.interface import Vector
 
 WINDOW_S = 0.5
@@ -74,9 +74,10 @@ class Gravity:
         worst = int(np.argmax(shares))
         if shares[worst] <= 1.0:
             return ""
+        n = digits(abs(W[worst]), self._limits[worst], 2)
         unit = "N" if worst < _FORCES else "N·m"
         return sentence(
-            "torque at rest", f"{W[worst]:+.2f} {unit} {_COMPONENTS[worst]} at the object beside what the files say",
-            f"at most {self._limits[worst]:.2f} {unit}",
+            "torque at rest", f"{W[worst]:+.{n}f} {unit} {_COMPONENTS[worst]} at the object beside what the files say",
+            f"at most {self._limits[worst]:.{n}f} {unit}",
             "check gravity_m_per_s2, the object (held, alone, of the stated mass) and that this is the arm of the file",
         )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.modes import Mode
 from agent.monitors.bounds import Bounds
-from agent.monitors.tick import Tick, sentence
+from agent.monitors.tick import Tick, digits, sentence
 from agent.phases import ALONE
 
 FROZEN_S = 0.05  # a reading that stays the same for less says nothing
@@ -22,8 +22,9 @@ class Speed:
         bounds = self._alone if at.mode in ALONE else self._bounds
         for joint, dq, bound in zip(self._joints, at.dq, bounds, strict=True):
             if not -bound <= dq <= bound:
+                n = digits(abs(dq), bound, 2)
                 return sentence(
-                    f"speed of {joint}", f"{dq:.2f} rad/s", f"at most {bound:.2f} rad/s",
+                    f"speed of {joint}", f"{dq:.{n}f} rad/s", f"at most {bound:.{n}f} rad/s",
                     "look for a gain that is too high, a broken grasp or a slipped load before the next start",
                 )  # fmt: skip
         return ""
@@ -39,9 +40,10 @@ class Power:
         """See `agent.monitors.tick.Monitor`."""
         for joint, tau, dq, bound in zip(self._joints, at.tau, at.dq, self._bounds, strict=True):
             if not -bound <= tau * dq <= bound:
+                n = digits(abs(tau * dq), bound, 2)
                 return sentence(
-                    f"power of {joint}", f"{tau * dq:.2f} W ({tau:.2f} N·m at {dq:.2f} rad/s)",
-                    f"at most {bound:.2f} W", "look for a gain that is too high, or somebody who pushes the arm",
+                    f"power of {joint}", f"{tau * dq:.{n}f} W ({tau:.2f} N·m at {dq:.2f} rad/s)",
+                    f"at most {bound:.{n}f} W", "look for a gain that is too high, or somebody who pushes the arm",
                 )  # fmt: skip
         return ""
 
@@ -58,8 +60,9 @@ class Position:
         bounds = self._alone if at.mode in ALONE else self._bounds
         for joint, q, (low, high) in zip(self._joints, at.q, bounds, strict=True):
             if not low <= q <= high:
+                n = max(digits(q, low, 3), digits(q, high, 3))
                 return sentence(
-                    f"position of {joint}", f"{q:.3f} rad", f"{low:.3f} to {high:.3f} rad",
+                    f"position of {joint}", f"{q:.{n}f} rad", f"{low:.{n}f} to {high:.{n}f} rad",
                     "start from the pose that `coop check` shows; move the base or the motion if it ends there",
                 )  # fmt: skip
         return ""

@@ -29,6 +29,11 @@ class Monitor(Protocol):
         ...
 
 
+def digits(found: float, bound: float, least: int) -> int:
+    """How many decimals tell what is found from its bound: at least so many, and nine where nothing does."""
+    return next((n for n in range(least, 9) if f"{found:.{n}f}" != f"{bound:.{n}f}"), 9)
+
+
 def sentence(what: str, found: str, expected: str, remedy: str) -> str:
     """For log and operator, as every refusal of this stack is worded."""
     return f"{what}: found {found}, expected {expected}; {remedy}"

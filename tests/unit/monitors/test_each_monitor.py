@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from agent.modes import Mode
-from agent.monitors.body import Limited, Load, Workspace
+from agent.monitors.body import Limited, Load, Start, Workspace
 from agent.monitors.bounds import Bounds, Name
 from agent.monitors.joints import Frozen, Position, Power, Speed
 from agent.monitors.servos import Servos
@@ -50,6 +50,22 @@ def test_what_is_at_its_bound_is_met_with_an_empty_text() -> None:
     corner: Any = SimpleNamespace(terms=SimpleNamespace(kinematics=SimpleNamespace(p_object=(0.5, -0.5, 0.0))))
     box = replace(b, workspace_m=((0.5, 1.0), (-1.0, -0.5), (0.0, 0.0)))
     assert Workspace(box).check(tick()._replace(outcome=corner)) == ""
+
+
+def test_what_is_just_beyond_a_bound_is_told_with_as_many_digits_as_it_takes() -> None:
+    b = replace(usual(), speed_rad_per_s=(0.5,) * 3, power_W=(0.5,) * 3, position_rad=((-1.0, 1.0),) * 3)
+    b = replace(b, start_m=1e-4, start_rad=0.1, workspace_m=((-0.5, 0.5),) * 3)
+    assert "found -0.5004 rad/s, expected at most 0.5000 rad/s" in Speed(b).check(tick(dq=[-0.5004] * 3))
+    assert "found -0.70 rad/s, expected at most 0.50 rad/s" in Speed(b).check(tick(dq=[-0.7] * 3))
+    assert "found 0.504 W (1.00 N·m at 0.50 rad/s), expected at most 0.500 W" in Power(b).check(
+        tick(dq=[0.504] * 3, tau=[1.0] * 3)
+    )
+    assert "found -1.0002 rad, expected -1.0000 to 1.0000 rad" in Position(b).check(tick(q=[-1.0002] * 3))
+    above: Any = SimpleNamespace(terms=SimpleNamespace(kinematics=SimpleNamespace(p_object=(0.50003, 0.0, 0.0))))
+    assert "found 0.50003 m, expected -0.50000 to 0.50000 m" in Workspace(b).check(tick()._replace(outcome=above))
+    aside: Any = SimpleNamespace(memory=SimpleNamespace(shift=(1.2e-4, 0.0, 0.0, 0.0, 0.0, 0.1004)))
+    said = Start(b).check(tick(mode=Mode.READY)._replace(outcome=aside))
+    assert "found 0.12 mm and 100.4 mrad from where the cell states it, expected at most 0.1 mm and 100 mrad" in said
 
 
 # --- a reading that stays the same -----------------------------------------------------------------------------------
