@@ -19,6 +19,15 @@ _SLUGS: Final = (("N·m", "Nm"), ("²", "2"), ("/", "_per_"), ("·", "_"))
 _AXES: Final = {3: ("x", "y", "z"), 4: ("w", "x", "y", "z"), 6: ("x", "y", "z", "rx", "ry", "rz")}
 _WRENCH: Final = 6
 _PER_JOINT: Final = ARM_PARAMETERS // MAX_JOINTS
+_OF_BODY: Final = (  # in pinocchio's order, about the origin of the body's frame
+    ("mass", "kg"),
+    *((f"first moment {axis}", "kg·m") for axis in "xyz"),
+    *((f"inertia {axes}", "kg·m²") for axes in ("xx", "xy", "yy", "xz", "yz", "zz")),
+)
+_OF_JOINT: Final = (
+    ("rotor inertia", "kg·m²"), ("viscous friction", "N·m·s/rad"), ("Coulomb friction", "N·m"),
+    ("breakaway", "N·m"), ("load friction", ""), ("breakaway load", ""),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +62,26 @@ def flat_columns(fields: Iterable[Field], member: str, names: Members) -> list[F
 def _of_field(f: Field, joints: tuple[str, ...] | None, names: Members) -> list[FlatColumn]:
     if not f.length:
         return [FlatColumn(_named(f.name, "", f.unit), f.name, None, f.unit, f.doc)]
+    if joints is not None and f.name in ("theta_arm", "theta_object"):
+        return [_estimate(f, i, joints if f.name == "theta_arm" else ()) for i, _ in _parts(f, joints, names)]
     units = _units(f)
     return [
         FlatColumn(_named(f.name, part, units[i]), f.name, i, units[i], f.doc) for i, part in _parts(f, joints, names)
     ]
+
+
+def _estimate(f: Field, i: int, joints: tuple[str, ...]) -> FlatColumn:
+    """One parameter of an adaptive estimate: of links, then of joints, block after block; without joints the object's.
+
+    Its name is its number, as docs/adaptive.md counts them.
+    """
+    bodies = len(_OF_BODY) * max(1, len(joints))
+    if i < bodies:
+        (what, unit), of = _OF_BODY[i % len(_OF_BODY)], f"link {joints[i // len(_OF_BODY)]}" if joints else "the object"
+    else:
+        block, j = divmod(i - bodies, len(joints))
+        (what, unit), of = _OF_JOINT[block], f"joint {joints[j]}"
+    return FlatColumn(f"{f.name}_{i}", f.name, i, unit, f"{f.doc}: {what} of {of}")
 
 
 def _parts(f: Field, joints: tuple[str, ...] | None, names: Members) -> Sequence[tuple[int, str]]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.control.regressor import arm_parameters
 from agent.log import Run, load
 from agent.log.columns import ColumnFileError
 from agent.log.flat import Members, flat_columns
@@ -16,6 +17,7 @@ from agent.log.read import LogError
 from agent.log.run import MissingPackage, NoSuchField
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 from agent.telemetry.row.topics import PLANT
+from tests.support.runner_rig import paper
 from tests.support.telemetry.log_maker import LogMaker, make_log
 from tests.support.telemetry.telemetry_cell import make_rows
 
@@ -163,6 +165,24 @@ def test_names_of_an_arms_columns_have_component_and_unit_once() -> None:
     assert left["unexpected"] == ["unexpected_0_N", "unexpected_1_Nm", "unexpected_2_N", "unexpected_3_Nm"]
     assert len(left["theta_arm"]) == 48
     assert len(right["theta_arm"]) == 32
+
+
+def test_each_number_of_an_estimate_says_what_it_is_in_the_order_that_the_law_has() -> None:
+    model, joints = paper().model(paper().arms[0]), JOINTS
+    found = {c.name: c for c in flat_columns(AGENT_STATE.fields, "left", Members(("left",), (joints,)))}
+    theta = arm_parameters(model)
+    inertias = [model.model.inertias[j] for j in range(1, model.n + 1)]
+    at = {c.doc.rpartition(": ")[2]: (c.index, c.unit) for c in found.values() if c.field == "theta_arm"}
+    for j, inertia in enumerate(inertias):
+        assert theta[at[f"mass of link {joints[j]}"][0]] == inertia.mass
+        assert theta[at[f"first moment y of link {joints[j]}"][0]] == pytest.approx(inertia.mass * inertia.lever[1])
+    assert at["inertia zz of link elbow"] == (29, "kg·m²")
+    assert at["rotor inertia of joint waist"] == (30, "kg·m²")
+    assert at["viscous friction of joint shoulder"] == (34, "N·m·s/rad")
+    assert at["breakaway load of joint elbow"] == (47, "")
+    told = found["theta_object_8"]
+    assert (told.doc, told.unit) == ("adaptive object estimate before this tick: inertia yz of the object", "kg·m²")
+    assert (found["theta_arm_47"].index, len([c for c in found.values() if c.field == "theta_object"])) == (47, 10)
 
 
 def test_names_of_the_plants_columns_have_the_arm() -> None:
