@@ -113,10 +113,14 @@ class Collected(Generic[Sink]):
         own = OURS.get(schema.name) if schema else None
         written = schema.data.decode(errors="replace") if schema else ""
         found = parse(schema.name, written) if schema else None
-        if found is None or own is None or not (self._any_layout or written == own.definition or self._serves(found)):
+        if (
+            found is None
+            or own is None
+            or not (self._any_layout or _numbers(found) == _numbers(own) or self._serves(found))
+        ):
             told = "no schema" if schema is None else schema.name
             if found is not None and own is not None:
-                told = f"{told} {differences(found.fields, own.fields) or 'in other words'}"
+                told = f"{told} {differences(found.fields, own.fields) or 'in other units'}"
             release = self.metadata.get("versions", {}).get(LIBRARY)
             raise LogError(
                 f"{self.path}: {channel.topic} has another layout",
@@ -159,6 +163,11 @@ class Collected(Generic[Sink]):
             self.health.setdefault(member, []).append(Health.from_json(text_of(payload)))
         except ValueError as error:
             self.problems.append(f"{member}: a health text that is none: {error}")
+
+
+def _numbers(layout: Layout) -> list[tuple[str, str, int, str]]:
+    """What a reader needs of a layout to read it rightly; in what words a field is described is not of it."""
+    return [(f.name, f.ros_type, f.length, f.unit) for f in layout.fields]
 
 
 def require_log(path: Path) -> None:

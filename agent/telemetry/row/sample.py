@@ -90,7 +90,7 @@ AGENT_FIELDS: Final[tuple[Field, ...]] = (
     _f("tau_feedback", J, "N·m", "of −k_v e_v − c_i e"),
     _f("tau_object", J, "N·m", "of this arm's share of the object's dynamics"),
     _f("tau_internal", J, "N·m", "of the desired internal wrench"),
-    _f("tau_friction", J, "N·m", "friction feed-forward"),
+    _f("tau_friction", J, "N·m", "friction feed-forward, along the motion: against the joint's friction"),
     _f("tau_posture", J, "N·m", "null-space posture term of a redundant arm"),
     _f("tau_cmd", J, "N·m", "sum of the terms"),
     _f("tau_limited", J, "N·m", "after agent.safety"),
@@ -124,7 +124,7 @@ PLANT_FIELDS: Final[tuple[Field, ...]] = (
     Field("utc_ns", "int64", 0, "ns", "UTC at the same instant", timing=True),
     Field("arm_count", "uint32", 0, "", "arms in use; the rest of each array is zero"),
     Field("config_id", "uint32", 0, "", "first 32 bits of the cell's fingerprint"),
-    _f("t", 0, "s", "plant time"),
+    _f("t", 0, "s", "time since the plant's zero, where it began: before the trajectory's by the wait for the start"),
     _f("p_object", 3, "m", "true object position (centre of mass), world"),
     _f("quat_object", 4, "", "true object attitude, scalar first"),
     _f("v_object", 6, "m/s, rad/s", "true object twist, linear first, world axes"),
@@ -134,7 +134,7 @@ PLANT_FIELDS: Final[tuple[Field, ...]] = (
     _f("q", MAX_ARMS * J, "rad", "true positions of the controlled joints, arm after arm"),
     _f("dq", MAX_ARMS * J, "rad/s", "true velocities"),
     _f("tau_applied", MAX_ARMS * J, "N·m", "torque that reached the joint after all actuator effects, friction apart"),
-    _f("tau_friction", MAX_ARMS * J, "N·m", "joint friction torque"),
+    _f("tau_friction", MAX_ARMS * J, "N·m", "friction as it acts on the joint, against the motion"),
     _f("energy", 0, "J", "kinetic plus potential energy of the cell"),
 )
 

@@ -146,6 +146,15 @@ def test_a_log_of_another_release_is_refused_not_misread(tmp_path: Path) -> None
         read_log(path)
 
 
+def test_a_field_in_other_words_is_the_same_field_and_one_in_other_units_is_not(tmp_path: Path) -> None:
+    path, own = tmp_path / "run.mcap", AGENT_STATE.definition
+    foreign_log(path, "/coop/paper/left/state", "coop_msgs/msg/AgentState", own.replace("friction feed-forward", "-"))
+    assert read_log(path).problems == ("left: a row of 104 bytes left out",), "a row is looked at"
+    foreign_log(path, "/coop/paper/left/state", "coop_msgs/msg/AgentState", own.replace("[J]", "[mJ]"))
+    with pytest.raises(LogError, match="found coop_msgs/msg/AgentState in other units"):
+        read_log(path)
+
+
 def test_a_log_of_somebody_else_holds_no_rows(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     foreign_log(path, "/camera", "sensor_msgs/msg/Image", "uint8[] data\n")

@@ -116,6 +116,15 @@ def test_a_field_says_what_it_means(made: Made) -> None:
     assert made[0]["left"].about("e_eta") == "scalar part of the attitude error quaternion"
 
 
+def test_friction_says_which_way_it_acts_where_one_name_has_two_signs(made: Made) -> None:
+    run, _ = made
+    assert (
+        run["left"].about("tau_friction")
+        == "friction feed-forward, along the motion: against the joint's friction [N·m]"
+    )
+    assert run["plant"].about("tau_friction") == "friction as it acts on the joint, against the motion [N·m]"
+
+
 def test_the_temporary_file_goes_with_the_run(tmp_path: Path) -> None:
     make_log(tmp_path / "run.mcap")
     with load(tmp_path / "run.mcap", folder=tmp_path) as run:
