@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from agent.log.cdr import text_of
 from agent.log.chunk import LIBRARY
 from agent.log.layout import OURS, differences, parse
-from agent.log.scan import LogScan, Messages, Run, library_of, open_file
+from agent.log.messages import Messages, Run
+from agent.log.scan import LogScan, library_of, open_file
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import Layout

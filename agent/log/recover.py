@@ -1,6 +1,7 @@
 """Mends a log whose recorder was killed: everything intact into a new, finished file, checked, then put in its place.
 
-A log that is being written is refused, and the old file stays until the new one has been read back.
+A log that is being written is refused, and the old file stays until the new one has been read back; where more is left
+out than a record that was cut at the end, it stays under another name.  A finished log is left alone unless forced.
 """
 
 from __future__ import annotations
@@ -11,17 +12,21 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from agent.log.chunk import LIBRARY
 from agent.log.file import PROFILE, LogFileError, LogInTheWay
 from agent.log.locks import SUFFIX, alone_with, is_named, is_written
+from agent.log.messages import Messages
 from agent.log.read import RECOVERY, LogError
-from agent.log.scan import LogScan, Messages, library_of, open_file
+from agent.log.scan import LogScan, library_of, open_file
 from agent.log.writer import BatchWriter
+
+KEPT: Final = "damaged"  # behind the name of a log: the original of one that was mended
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +34,17 @@ class RecoverReport:
     """What was found and done."""
 
     path: Path
-    repaired: bool  # False: there was nothing to repair
+    repaired: bool  # False: there was nothing to repair, or it is finished and left alone
     messages: int
     problems: tuple[str, ...]
+    damaged: bool = False  # something is wrong with it but that its end was cut
+    original: Path | None = None  # where it is, when it was kept
 
 
-def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverReport:
-    """Repair a log in place; a finished one is left alone.  An unfinished repair leaves the log as it was.
+def recover(path: Path, stop: Callable[[], bool] = lambda: False, *, force: bool = False) -> RecoverReport:
+    """Repair a log in place; one that ends as finished logs do is left alone unless forced.
+
+    An unfinished repair leaves the log as it was.  A damaged original is kept under another name.
 
     Raises LogError when it is no log, LogInTheWay when it is being written, LogFileError when the disk has no room.
     """
@@ -52,7 +61,7 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
                 remedy="stop that recorder; it finishes the file",
             )
         try:
-            return _recover(path, file, stop)
+            return _recover(path, file, stop, force=force)
         except OSError as error:
             raise _unreadable(path, error) from error
 
@@ -63,15 +72,15 @@ def _unreadable(path: Path, error: OSError) -> LogError:
 
 def repair_leftovers(
     folder: Path, *, but: Path, stop: Callable[[], bool] = lambda: False
-) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """Repair our own unfinished logs in a folder, but not `but`; return those repaired, and what could not be."""
+) -> tuple[tuple[RecoverReport, ...], tuple[str, ...]]:
+    """Repair our own unfinished logs in a folder, but not `but`; return what was repaired, and what could not be."""
     repaired, failed = [], []
     for path in sorted(folder.glob("*.mcap")):
         if path == but or stop() or not path.is_file():
             continue
         try:
-            if is_unfinished(path) and recover(path, stop).repaired:
-                repaired.append(path)
+            if is_unfinished(path) and (done := recover(path, stop)).repaired:
+                repaired.append(done)
         except (LogError, LogFileError) as error:
             failed.append(str(error))
     return tuple(repaired), tuple(failed)
@@ -89,7 +98,7 @@ def is_unfinished(path: Path) -> bool:
         raise _unreadable(path, error) from error
 
 
-def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool]) -> RecoverReport:
+def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool], *, force: bool) -> RecoverReport:
     if library_of(file) is None:
         raise LogError(
             f"{path} is no MCAP file", found=f"{file.seek(0, 2)} bytes", expected="a log", remedy="correct the path"
@@ -101,15 +110,16 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool]) -> RecoverRep
         if stop():
             return RecoverReport(path, False, 0, ("stopped",))
     problems = tuple(scan.problems)
-    if not problems:
-        return RecoverReport(path, False, seen.count, ())
+    damaged = scan.finished or len(problems) > 1  # of a log that ends early without more, that alone is told
+    if not problems or (scan.closed and not force):
+        return RecoverReport(path, False, seen.count, problems, damaged and bool(problems))
     if scan.another_at is not None:
         at = scan.another_at
         raise LogError(
             f"{path} is two logs one behind the other", found=f"a second one from byte {at} on", expected="one log",
             remedy=f"take them apart: `head -c {at}`, `tail -c +{at + 1}`",
         )  # fmt: skip
-    log = path.resolve()  # a link stays one: what it leads to is mended
+    log, original = path.resolve(), None  # a link stays one: what it leads to is mended
     try:
         with alone_with(log) as copy:
             if copy is None or not is_named(log, file.fileno()):
@@ -120,13 +130,32 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool]) -> RecoverRep
             _rewrite(file, copy, scan)
             os.fchmod(copy, log.stat().st_mode & 0o777)
             _check(path, copy, seen)
+            if damaged:
+                original = _keep(log)
             log.with_name(log.name + SUFFIX).replace(log)
             _sync(log.parent, os.O_DIRECTORY)
     except OSError as error:
         raise LogFileError(
             f"cannot repair {path}", found=error.strerror, expected="room for a copy of it", remedy="make room"
         ) from error
-    return RecoverReport(path, True, seen.count, problems)
+    return RecoverReport(path, True, seen.count, problems, damaged, original)
+
+
+def _keep(log: Path) -> Path:
+    """A second name for a log, which takes no room.  Raises LogFileError where it cannot have one."""
+    names = (log.with_name(f"{log.name}.{KEPT}{number or ''}") for number in count())
+    for name in names:
+        try:
+            name.hardlink_to(log)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise LogFileError(
+                f"cannot keep the damaged original of {log} as {name.name}", found=error.strerror,
+                expected="a file system in which a file can have two names", remedy="mend a copy on another disk",
+            ) from error  # fmt: skip
+        return name
+    raise AssertionError("unreachable")
 
 
 def _check(path: Path, copy: int, seen: _Fingerprint) -> None:

@@ -1,180 +1,233 @@
 """Walks an MCAP file record by record, however it ends and whatever is damaged in it; holds one record at a time.
 
-A file cut at any byte gives everything before the cut; a damaged chunk is left out and told of, the rest is read.
+A file cut at any byte gives everything before the cut; a damaged record is left out and told of, the rest is read.
+Behind a record whose length is wrong the scan goes on at the next one that shows by its checksum or its structure, and
+by what follows it, that it is one.
 """
 
 from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
-import struct
 import zlib
-from collections.abc import Container, Iterator
-from dataclasses import dataclass
-from io import BytesIO
+from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple
+from typing import BinaryIO, Final
 
-import numpy as np
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Attachment, Channel, DataEnd, Footer, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from numpy.typing import NDArray
 
-from agent.log.chunk import HEAD, LOG_TIME_AT, RECORD_HEAD_BYTES, RecordCopy
+from agent.log.chunk import RECORD_HEAD_BYTES
+from agent.log.messages import Messages, split
+from agent.log.records import BAD_RECORD, RECORD_HEAD, attachment, length_by_content, stream_of, uncompressed
 
-CHUNK_BYTES_MAX: Final = 1 << 28
 RECORD_BYTES_MAX: Final = 1 << 28
-_RECORD_HEAD: Final = struct.Struct("<BQ")
-_CHUNK_HEAD: Final = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
-_CHANNEL_AT: Final = RECORD_HEAD_BYTES + 2  # a message record begins with opcode, length, channel
 _FOOTER_CRC_AT: Final = RECORD_HEAD_BYTES + 16
-_BAD_RECORD: Final = (ValueError, RuntimeError, OverflowError, McapError, struct.error, zstandard.ZstdError)
 _PIECE: Final = 1 << 20
 _BEGINNING: Final = MAGIC + bytes([Opcode.HEADER])  # of a log; what ends one is not followed by a header
+_FOUND_AGAIN: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END)
+_MARK: Final = re.compile(  # a log's beginning, or the head of a record to go on at, of less than 4 GB
+    b"(?=" + re.escape(_BEGINNING) + b"|[" + b"".join(b"\\x%02x" % kind for kind in _FOUND_AGAIN) + b"].{4}\0{4})", re.S
+)
 
 Record = Header | Schema | Channel | Attachment | Metadata
-
-
-class Run(NamedTuple):
-    """Message records of one channel and one size, one behind the other."""
-
-    channel: int
-    begin: int  # of the first record
-    stride: int  # bytes of each record
-    number: int  # how many
-
-
-@dataclass(frozen=True, slots=True)
-class Messages:
-    """The messages of one intact chunk, in its uncompressed bytes."""
-
-    data: bytes
-    runs: list[Run]
-
-    def payloads(self, run: Run) -> NDArray[np.uint8]:
-        """The messages (number, size) of a run, without their heads."""
-        shape, first = (run.number, run.stride - HEAD.itemsize), run.begin + HEAD.itemsize
-        return np.ndarray(shape, np.uint8, self.data, first, (run.stride, 1))
-
-    def copy(self, channels: Container[int]) -> RecordCopy:
-        """The message records of these channels."""
-        runs = [run for run in self.runs if run.channel in channels]
-        content = b"".join(self.data[run.begin : run.begin + run.stride * run.number] for run in runs)
-        numbers, strides = (np.array([getattr(run, name) for run in runs], np.int64) for name in ("number", "stride"))
-        each = np.repeat(strides, numbers)
-        offsets = np.cumsum(each) - each
-        time_at = offsets[:, None] + np.arange(LOG_TIME_AT, LOG_TIME_AT + 8)
-        times = np.frombuffer(content, np.uint8)[time_at].view("<u8")[:, 0] if runs else np.empty(0, np.uint64)
-        return RecordCopy(content, np.repeat([run.channel for run in runs], numbers), times, offsets.astype(np.uint64))
 
 
 class LogScan:
     """One pass over a file; `problems`, `finished` and `intact_bytes` are valid when the iteration has ended."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        """`file`: from its first byte on, of the length that it has now."""
+    def __init__(self, file: BinaryIO, *, looks_ahead: bool = True) -> None:
+        """`file`: from its first byte on, of the length that it has now.
+
+        looks_ahead: where something is damaged, schemas and channels behind it come before the rest, for the record
+        that declared them may be lost; at its end a finished log has them again.
+        """
         self._file = file
         self._size = file.seek(0, 2)
         self._crc = 0  # of everything before the record at hand
         self._data_ended = False
+        self._looks_ahead = looks_ahead
         self.problems: list[str] = []
         self.damaged = 0  # records left out because a checksum or their structure is wrong
         self.finished = False  # index and closing magic are there
+        self.closed = False  # and nothing is behind them
         self.another_at: int | None = None  # where another log begins behind the end of this one, or where it is cut
         self.intact_bytes = len(MAGIC)  # up to the end of the last whole record
 
     def __iter__(self) -> Iterator[Record | Messages]:
-        self._file.seek(0)
-        self._crc = zlib.crc32(self._file.read(len(MAGIC)))
-        position = len(MAGIC)
-        while position + RECORD_HEAD_BYTES <= self._size:
-            head = self._file.read(RECORD_HEAD_BYTES)
-            opcode, length = _RECORD_HEAD.unpack(head)
-            end = position + RECORD_HEAD_BYTES + length
-            if end > self._size:
-                break
+        self._crc = zlib.crc32(self._bytes(0, len(MAGIC)))
+        position, footer = len(MAGIC), False
+        while position + RECORD_HEAD_BYTES <= self._size and not footer:
+            opcode, length = RECORD_HEAD.unpack(self._bytes(position, RECORD_HEAD_BYTES))
+            before, end = self._crc, position + RECORD_HEAD_BYTES + length
             try:
-                yield from self._record(opcode, length, head, position)
-            except _BAD_RECORD as error:
-                if self._another_within(position, end + len(_BEGINNING) - 1):
-                    break
-                self._damage(f"damaged at byte {position}: {error or type(error).__name__}")
+                yield from self._record(opcode, position, length)
+            except BAD_RECORD as error:
+                what = f"damaged at byte {position}: {error or type(error).__name__}"
+                if (whole := self._whole_but_for_its_head(opcode, position, length)) is not None:
+                    (opcode, length), self._crc = whole, before
+                    end = position + RECORD_HEAD_BYTES + length
+                    self.problems.append(f"{what}; what it holds is whole")
+                    yield from self._record(opcode, position, length)
+                else:
+                    yield from self._declared_behind()
+                    known = length <= RECORD_BYTES_MAX and self._length(opcode, position) is not None
+                    torn = known and end > self._size
+                    next_at = self._next_behind(position, end)
+                    if self.another_at is None and not (torn and next_at is None):
+                        self._damage(what)
+                    if next_at is None:
+                        break
+                    opcode, end = 0, next_at
             self.intact_bytes = position = end
-            self._file.seek(end)
-            if opcode == Opcode.FOOTER:
-                self.finished = self._file.read(len(MAGIC)) == MAGIC
-                break
-        if self.finished and not self._data_ended:
+            footer = opcode == Opcode.FOOTER
+        self.finished = footer and self._bytes(position, len(MAGIC)) == MAGIC
+        if self.finished:
+            self._tell_of_end(position + len(MAGIC))
+        else:
+            self._tell_cut()
+
+    def _declared_behind(self) -> Iterator[Record]:
+        if self._looks_ahead:
+            self._looks_ahead = False
+            ahead = LogScan(self._file, looks_ahead=False)
+            yield from (record for record in ahead if isinstance(record, Schema | Channel))
+
+    def _tell_of_end(self, ends: int) -> None:
+        if not self._data_ended:
             self._damage("the end of the data is not where it should be")
-        ends, another = self._file.tell(), self.finished and self._file.read(len(MAGIC)) == MAGIC
-        if self.finished and ends < self._size:
+        self.closed = ends == self._size
+        if not self.closed:
+            another = self._bytes(ends, len(MAGIC)) == MAGIC
             self.another_at = ends if another else None
             what = "another log, which is not read" if another else "no part of it"
             self.problems.append(f"{self._size - ends} bytes behind its end are {what}")
-        if not self.finished:
-            self._tell_cut()
 
     def _tell_cut(self) -> None:
         rest, what = self._size - self.intact_bytes, "of a record cut"
-        if self._another_within(self.intact_bytes, self._size):
+        if self.another_at is not None:
             what = "are a record cut and another log, which is not read"
         self.problems.append(f"the file ends without its index{f', {rest} bytes {what}' if rest else ''}")
-
-    def _another_within(self, begin: int, end: int) -> bool:
-        """Whether another log begins in these bytes, which are no record; `another_at` says where."""
-        self._file.seek(begin)
-        kept, at = b"", begin
-        while self.another_at is None and (piece := self._file.read(min(end - begin, _PIECE))):
-            found = (kept + piece).find(_BEGINNING)
-            if found >= 0:
-                self.another_at = at - len(kept) + found
-            kept, at, begin = (kept + piece)[1 - len(_BEGINNING) :], at + len(piece), begin + len(piece)
-        return self.another_at is not None
 
     def _damage(self, what: str) -> None:
         self.damaged += 1
         self.problems.append(what)
 
-    def _record(self, opcode: int, length: int, head: bytes, position: int) -> Iterator[Record | Messages]:
+    def _bytes(self, at: int, length: int) -> bytes:
+        self._file.seek(at)
+        return self._file.read(length)
+
+    # ------------------------------------------------------------------------------------------ behind a damaged record
+
+    def _length(self, opcode: int, position: int) -> int | None:
+        return length_by_content(opcode, lambda at, size: self._bytes(position + RECORD_HEAD_BYTES + at, size))
+
+    def _is_likely(self, position: int) -> bool:
+        """Whether here the file ends, or there is a record whose length agrees with what it holds."""
+        if position + RECORD_HEAD_BYTES > self._size:
+            return position == self._size
+        opcode, length = RECORD_HEAD.unpack(self._bytes(position, RECORD_HEAD_BYTES))
+        held = self._length(opcode, position)
+        return held is not None and held <= length <= self._size - position - RECORD_HEAD_BYTES
+
+    def _is_whole(self, opcode: int, position: int, length: int) -> bool:
+        """Whether there is such a record: by its checksum, or by its structure and what follows where it has none."""
+        end = position + RECORD_HEAD_BYTES + length
+        if length > RECORD_BYTES_MAX or end > self._size:
+            return False
+        body = self._bytes(position + RECORD_HEAD_BYTES, length)
+        try:
+            if opcode == Opcode.CHUNK:
+                return bool(list(split(uncompressed(body))))  # an empty one is told from zeros by nothing
+            if opcode == Opcode.ATTACHMENT:
+                return attachment(body).data is not None
+            if opcode == Opcode.METADATA:
+                Metadata.read(stream_of(body))
+        except BAD_RECORD:
+            return False
+        return self._bytes(end, len(MAGIC)) == MAGIC if opcode == Opcode.FOOTER else self._is_likely(end)
+
+    def _whole_but_for_its_head(self, opcode: int, position: int, length: int) -> tuple[int, int] | None:
+        """Opcode and length of a record of which the head alone is damaged."""
+        for kind in (opcode, int(Opcode.CHUNK)):
+            held = self._length(kind, position)
+            if held is not None and (kind, held) != (opcode, length) and self._is_whole(kind, position, held):
+                return kind, held
+        return None
+
+    def _next_behind(self, position: int, end: int) -> int | None:
+        """Where the next record begins behind a damaged one; `another_at` says where another log does before that."""
+        agrees = end <= self._size and self._is_likely(end)
+        until = min(self._size, end + len(_BEGINNING) - 1) if agrees else self._size
+        for at in self._marks(position, until):
+            if self._bytes(at, len(_BEGINNING)) == _BEGINNING:
+                self.another_at = at
+                return None
+            opcode, length = RECORD_HEAD.unpack(self._bytes(at, RECORD_HEAD_BYTES))
+            if not agrees and self._length(opcode, at) == length and self._is_whole(opcode, at, length):
+                return at
+        return end if agrees else None
+
+    def _marks(self, begin: int, end: int) -> Iterator[int]:
+        """Where in these bytes another log or a record may begin."""
+        kept, at = b"", begin
+        while piece := self._bytes(at, min(end - at, _PIECE)):
+            kept, at = kept + piece, at + len(piece)
+            yield from (at - len(kept) + found.start() for found in _MARK.finditer(kept))
+            kept = kept[1 - len(_BEGINNING) :]
+
+    # --------------------------------------------------------------------------------------------------- of one record
+
+    def _record(self, opcode: int, position: int, length: int) -> Iterator[Record | Messages]:
+        end = position + RECORD_HEAD_BYTES + length
+        if end > self._size:
+            raise ValueError(f"a record of {length} bytes, {end - self._size} more than are there")
         before = self._crc
+        self._crc = zlib.crc32(self._bytes(position, RECORD_HEAD_BYTES), before)
         if length > RECORD_BYTES_MAX:
-            self._crc = self._checksum(length, zlib.crc32(head, before))
+            self._crc = self._checksum(length, self._crc)
             raise ValueError(f"a record of {length} bytes")
         body = self._file.read(length)
-        self._crc = zlib.crc32(body, zlib.crc32(head, before))
+        self._crc = zlib.crc32(body, self._crc)
+        held = length_by_content(opcode, lambda at, size: body[at : at + size])
+        if held != length and opcode != Opcode.MESSAGE:  # a later MCAP may add fields at the end, and other records
+            chunk_held = length_by_content(Opcode.CHUNK, lambda at, size: body[at : at + size])
+            if (held or 0) > length or chunk_held == length or not self._is_likely(end):
+                raise ValueError(f"a record of {length} bytes that says it is of {held}")
         if opcode == Opcode.CHUNK:
-            yield from _split(_uncompressed(body))
+            yield from split(uncompressed(body))
         elif opcode == Opcode.ATTACHMENT:
-            if zlib.crc32(memoryview(body)[:-4]) != struct.unpack("<I", body[-4:])[0]:
-                raise ValueError("attachment with a wrong checksum")
-            yield Attachment.read(_stream(body))
+            yield attachment(body)
         elif opcode == Opcode.METADATA:
-            yield Metadata.read(_stream(body))
+            yield Metadata.read(stream_of(body))
         elif opcode == Opcode.HEADER:
-            yield Header.read(_stream(body))
+            yield Header.read(stream_of(body))
+        elif opcode == Opcode.SCHEMA and not self._looks_ahead:
+            yield Schema.read(stream_of(body))
+        elif opcode == Opcode.CHANNEL and not self._looks_ahead:
+            yield Channel.read(stream_of(body))
         elif opcode == Opcode.DATA_END:
             self._data_ended = True
-            expected = DataEnd.read(_stream(body)).data_section_crc
-            if expected and before != expected:
-                raise ValueError("the data have a wrong checksum")
+            expected = DataEnd.read(stream_of(body)).data_section_crc
+            if expected and before != expected and not self.problems:  # else it follows from what was told
+                self._damage(f"damaged at byte {position}: the data have a wrong checksum")
         elif opcode == Opcode.FOOTER:
-            self._check_summary(Footer.read(_stream(body)), position)
+            if len(MAGIC) <= self._size - end and self._bytes(end, len(MAGIC)) != MAGIC:
+                raise ValueError("the end is not where it should be")
+            if wrong := self._wrong_summary(Footer.read(stream_of(body)), position):
+                self._damage(f"damaged at byte {position}: {wrong}")
 
-    def _check_summary(self, footer: Footer, position: int) -> None:
+    def _wrong_summary(self, footer: Footer, position: int) -> str:
         length = position + _FOOTER_CRC_AT - footer.summary_start
         if not footer.summary_crc:
-            return
+            return ""
         if length < 0:
-            raise ValueError("the index is not where it should be")
+            return "the index is not where it should be"
         self._file.seek(footer.summary_start)
-        if self._checksum(length, 0) != footer.summary_crc:
-            raise ValueError("the index has a wrong checksum")
+        return "the index has a wrong checksum" if self._checksum(length, 0) != footer.summary_crc else ""
 
     def _checksum(self, length: int, crc: int) -> int:
         """CRC32 of the next so many bytes of the file, going on from `crc`."""
@@ -201,59 +254,3 @@ def library_of(file: BinaryIO) -> str | None:
         return None
     first = next(iter(LogScan(file)), None)
     return first.library if isinstance(first, Header) else ""
-
-
-def _stream(body: bytes | memoryview) -> ReadDataStream:
-    return ReadDataStream(BytesIO(body))
-
-
-def _uncompressed(body: bytes) -> bytes:
-    """Content of a chunk.  Raises ValueError when it is too large or its checksum is wrong."""
-    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
-    if size > CHUNK_BYTES_MAX:
-        raise ValueError(f"a chunk of {size} bytes")
-    name_at = _CHUNK_HEAD.size
-    packed_at = name_at + name_length + 8
-    if body[name_at : name_at + name_length] != b"zstd":
-        stream, length = get_chunk_data_stream(Chunk.read(_stream(body)), validate_crc=True)
-        return stream.read(length)
-    packed = memoryview(body)[packed_at : packed_at + int.from_bytes(body[packed_at - 8 : packed_at], "little")]
-    if zstandard.frame_content_size(packed) not in (-1, size):
-        raise ValueError("a chunk of another size than it says")
-    data = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
-    if len(data) != size or (crc and zlib.crc32(data) != crc):
-        raise ValueError("a chunk with a wrong checksum")
-    return data
-
-
-def _split(data: bytes) -> Iterator[Record | Messages]:
-    """Schemas and channels of a chunk, then all its messages at once."""
-    runs = []
-    position, size = 0, len(data)
-    head, message = _RECORD_HEAD.unpack_from, int(Opcode.MESSAGE)
-    while position < size:
-        opcode, length = head(data, position)
-        begin, position = position, position + RECORD_HEAD_BYTES + length
-        if position > size:
-            raise ValueError("a record reaches out of its chunk")
-        if opcode == message:
-            run = _run_at(data, begin, RECORD_HEAD_BYTES + length)
-            runs.append(run)
-            position = begin + run.stride * run.number
-        elif opcode == Opcode.SCHEMA:
-            yield Schema.read(_stream(memoryview(data)[begin + RECORD_HEAD_BYTES : position]))
-        elif opcode == Opcode.CHANNEL:
-            yield Channel.read(_stream(memoryview(data)[begin + RECORD_HEAD_BYTES : position]))
-    if runs:
-        yield Messages(data, runs)
-
-
-def _run_at(data: bytes, begin: int, stride: int) -> Run:
-    """The message record at `begin`, and those like it right behind it."""
-    if stride < HEAD.itemsize:
-        raise ValueError("a message without its head")
-    alike = data[begin : begin + _CHANNEL_AT]
-    position, end = begin + stride, len(data) - stride
-    while position <= end and data.startswith(alike, position):
-        position += stride
-    return Run(int.from_bytes(alike[RECORD_HEAD_BYTES:], "little"), begin, stride, (position - begin) // stride)

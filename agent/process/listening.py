@@ -93,8 +93,9 @@ def record(command: RecordCommand, listener: Listener) -> int:
         ready=ready,
         ended=lambda log, why: listener.alert(f"{log}: the log ENDS HERE: {why}; the arms go on without it"),
     )
-    for path in report.repaired:
-        listener.say(f"repaired {path}")
+    for mended in report.repaired:
+        kept = f", the damaged original is kept as {mended.original}" if mended.original is not None else ""
+        listener.say(f"repaired {mended.path}{kept}")
     for error in report.not_repaired:
         listener.say(f"not repaired: {error}")
     for path in report.logs[1:]:

@@ -18,6 +18,7 @@ import zenoh.ext
 from agent.log.channels import LogChannels
 from agent.log.file import MIN_FREE_BYTES, Attachment, LogFile, LogFileError
 from agent.log.parts import Limits, make_room, next_path
+from agent.log.recover import RecoverReport
 from agent.log.scene import Scene
 from agent.telemetry.link.inbox import Inbox, Listening
 from agent.telemetry.link.intake import STRANGE, Intake, Rejection
@@ -68,7 +69,7 @@ class RecordReport:
     complete: bool
     failure: str | None  # why the file ended before its time
     completeness: Mapping[str, str]  # of the last log
-    repaired: tuple[Path, ...]
+    repaired: tuple[RecoverReport, ...]
     not_repaired: tuple[str, ...]  # errors, for a person
     logs: tuple[Path, ...]  # `path` and those behind it
 

@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 from typing import Self
 
-from agent.log.recover import repair_leftovers
+from agent.log.recover import RecoverReport, repair_leftovers
 
 
 class Repair:
@@ -14,7 +14,7 @@ class Repair:
 
     def __init__(self, path: Path, *, wanted: bool) -> None:
         """`path`: the log that is being written, which is left alone; `wanted`: whether anything is done."""
-        self.repaired: tuple[Path, ...] = ()
+        self.repaired: tuple[RecoverReport, ...] = ()
         self.failed: tuple[str, ...] = ()
         self._path, self._wanted = path, wanted
         self._stop = threading.Event()

@@ -83,7 +83,7 @@ def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everythin
             wait_for(lambda: "recovery" in read_log(folder / "run.mcap").metadata)
             report = second.stop()
     assert report.complete
-    assert report.repaired == (folder / "run.mcap",)
+    assert [done.path for done in report.repaired] == [folder / "run.mcap"]
     assert rows_in(folder / "next.mcap") == prefix(total, total)
     told = [e.text for e in read_log(folder / "next.mcap").events if e.source == "left"]
     assert [text for text in told if text.startswith("link to the recorder was cut for ")]

@@ -13,7 +13,8 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Attachment, Channel, Schema
 
 from agent.log.chunk import HEAD, Group, Message
-from agent.log.scan import LogScan, Messages
+from agent.log.messages import Messages
+from agent.log.scan import LogScan
 from agent.log.writer import BatchWriter
 
 SIZES = {1: 5, 2: 40, 3: 17}  # bytes of a message by channel

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.log.messages import Messages
 from agent.log.read import LogError, RunLog, read_log
-from agent.log.scan import LogScan, Messages
+from agent.log.scan import LogScan
 from tests.support.telemetry.log_maker import make_log
 
 BATCHES, COUNT = 6, 30

@@ -437,6 +437,21 @@ def test_recover_replaces_only_a_log_that_was_not_finished(tmp_path: Path) -> No
     assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.mcap", "whole.mcap"]
 
 
+def test_recover_leaves_a_damaged_finished_log_and_keeps_it_when_forced(tmp_path: Path) -> None:
+    path, original = tmp_path / "run.mcap", tmp_path / "run.mcap.damaged"
+    make_log(path)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    done = coop("recover", path)
+    assert (done.code, path.read_bytes()) == (1, data)
+    assert "damaged at byte" in done.err
+    assert "left as it is" in done.out
+    done = coop("recover", path, "--force")
+    assert (done.code, original.read_bytes()) == (1, data)
+    assert f"the damaged original is kept as {original}" in done.out
+
+
 # motors dump
 
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import errno
 import os
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from agent.log import scan
 from agent.log.chunk import LIBRARY
-from agent.log.file import LogInTheWay
+from agent.log.file import LogFileError, LogInTheWay
+from agent.log.messages import Messages
 from agent.log.read import LogError, read_log
 from agent.log.recover import recover, repair_leftovers
 from tests.support.telemetry.log_maker import LogMaker, make_log
@@ -78,7 +82,7 @@ def test_a_log_behind_an_unfinished_one_is_not_mended_into_it(
     with first.open("rb") as file:
         chunk_ends = 0
         for record in scan.LogScan(file):
-            chunk_ends = file.tell() if isinstance(record, scan.Messages) else chunk_ends
+            chunk_ends = file.tell() if isinstance(record, Messages) else chunk_ends
     begun, more = first.read_bytes()[: chunk_ends - cut], second.read_bytes()
     first.write_bytes(begun)
     path.write_bytes(begun + more)
@@ -96,7 +100,10 @@ def test_what_is_no_log_behind_the_end_is_told_and_taken_away(tmp_path: Path) ->
     with path.open("ab") as file:
         file.write(b"hello")
     assert read_log(path).problems == ("5 bytes behind its end are no part of it",)
-    assert recover(path).repaired
+    before = path.read_bytes()
+    done = recover(path)
+    assert (done.repaired, done.damaged, done.original) == (True, True, tmp_path / "run.mcap.damaged")
+    assert done.original.read_bytes() == before
     assert read_log(path).agents["left"].tobytes() == rows["left"].tobytes()
 
 
@@ -107,17 +114,133 @@ def test_what_cannot_be_read_is_no_log(tmp_path: Path, name: str, found: str) ->
         recover(tmp_path / name)
 
 
-def test_a_damaged_log_stays_marked_after_its_repair(tmp_path: Path) -> None:
+CHUNKS = 5  # of the logs here; the first has schemas and channels too
+
+
+@cache
+def five_chunks(*, finish: bool) -> tuple[np.ndarray, bytes]:
+    """Rows of the arm left, and the log."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        return make_log(path, finish=finish)["left"], path.read_bytes()
+
+
+def places(data: bytes) -> list[tuple[int, int]]:
+    """Where the chunks of a log begin, and their bytes."""
+    found, at = [], len(scan.MAGIC)
+    while at + 9 <= len(data) and data[at] != 15:
+        length = 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        found += [(at, length)] if data[at] == 6 else []
+        at += length
+    assert len(found) == CHUNKS
+    return found
+
+
+def change(data: bytearray, kind: str, chunk: int) -> None:
+    """Damage a chunk of a log."""
+    at, length = places(data)[chunk]
+    if kind == "a length out of the file":
+        data[at + 4] ^= 0x40
+    elif kind == "a length too large":
+        data[at + 2] ^= 0x10
+    elif kind == "a length too small":
+        data[at + 1] ^= 1 << (data[at + 1].bit_length() - 1)
+    elif kind == "another kind":
+        data[at] ^= 1
+    elif kind == "no kind":
+        data[at] ^= 0x40
+    elif kind == "a bit":
+        data[at + length // 2] ^= 1
+    elif kind == "zeros":
+        data[at : at + length // 2] = bytes(length // 2)
+    else:
+        del data[at + 20 : at + 20 + length // 2]
+
+
+HEADS = ("a length out of the file", "a length too large", "a length too small", "another kind", "no kind")
+CONTENTS = ("a bit", "zeros", "a piece gone")
+
+
+@pytest.mark.parametrize("ends", ["finished", "killed"])
+@pytest.mark.parametrize("chunk", [0, 2, CHUNKS - 1])
+@pytest.mark.parametrize("kind", [*HEADS, *CONTENTS])
+def test_behind_a_damaged_record_everything_is_found(tmp_path: Path, kind: str, chunk: int, ends: str) -> None:
+    path = tmp_path / "run.mcap"
+    rows, made = five_chunks(finish=ends == "finished")
+    data = bytearray(made)
+    change(data, kind, chunk)
+    path.write_bytes(data)
+    if (kind, chunk, ends) == ("a piece gone", CHUNKS - 1, "killed"):
+        cut = len(data) - places(made)[-1][0]  # as if the recorder had been killed while it wrote
+        assert recover(path).problems == (f"the file ends without its index, {cut} bytes of a record cut",)
+        return
+    if kind in CONTENTS and (ends, chunk) == ("killed", 0):
+        with pytest.raises(LogError, match="holds no rows"):  # what they are was told there alone
+            read_log(path)
+        return
+    log = read_log(path)
+    lost = () if kind in HEADS else ((20 * chunk, 20 * chunk + 19),)
+    kept = [row for i, row in enumerate(rows) if not any(first <= i <= last for first, last in lost)]
+    assert log.agents["left"].tobytes() == b"".join(row.tobytes() for row in kept)
+    assert not log.complete
+    assert log.problems[0].startswith("damaged at byte")
+    done = recover(path)
+    assert (done.repaired, done.damaged) == (ends == "killed", True)
+    if done.repaired:
+        assert done.original == tmp_path / "run.mcap.damaged"
+        assert done.original.read_bytes() == data
+        mended = read_log(path)
+        assert (mended.agents["left"].tobytes(), mended.problems) == (log.agents["left"].tobytes(), ())
+        assert int(mended.metadata["recovery"]["damaged"]) == (kind in CONTENTS)
+    else:
+        assert path.read_bytes() == data
+        assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_damaged_finished_log_is_mended_when_forced_and_stays_marked(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     make_log(path)
     data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
+    change(data, "a bit", 2)
     path.write_bytes(data)
-    assert recover(path).repaired
+    (tmp_path / "run.mcap.damaged").write_text("an older one")
+    done = recover(path, force=True)
+    assert (done.repaired, done.original) == (True, tmp_path / "run.mcap.damaged1")
+    assert done.original.read_bytes() == data
+    assert (tmp_path / "run.mcap.damaged").read_text() == "an older one"
     log = read_log(path)
     assert log.problems == ()
     assert not log.complete
-    assert int(log.metadata["recovery"]["damaged"]) >= 1
+    assert log.metadata["recovery"]["damaged"] == "1"
+
+
+def test_what_was_zeroed_at_the_end_is_no_record_cut_and_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    rows = make_log(path, finish=False)
+    with path.open("ab") as file:
+        file.write(bytes(4096))
+    done = recover(path)
+    assert (done.damaged, done.original) == (True, tmp_path / "run.mcap.damaged")
+    assert read_log(path).agents["left"].tobytes() == rows["left"].tobytes()
+
+
+def test_where_the_damaged_original_cannot_be_kept_nothing_is_mended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    make_log(path, finish=False)
+    with path.open("ab") as file:
+        file.write(bytes(4096))
+    before = path.read_bytes()
+
+    def none(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "hardlink_to", none)
+    with pytest.raises(LogFileError, match=r"cannot keep the damaged original of .*No space left"):
+        recover(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_log_that_is_being_written_is_refused(tmp_path: Path) -> None:
@@ -174,7 +297,7 @@ def test_leftovers_beside_what_is_no_file_or_cannot_be_read_are_repaired(
 
     monkeypatch.setattr("agent.log.recover.open_file", open_file)
     repaired, failed = repair_leftovers(tmp_path, but=tmp_path / "mine.mcap")
-    assert repaired == (tmp_path / "z.mcap",)
+    assert [done.path for done in repaired] == [tmp_path / "z.mcap"]
     assert len(failed) == 1
     assert "theirs.mcap: found Permission denied" in failed[0]
 
@@ -190,7 +313,7 @@ def test_leftovers_of_ours_are_repaired_and_nothing_else_is_touched(tmp_path: Pa
     )
     untouched = {p: p.read_bytes() for p in tmp_path.iterdir() if p.name != "a.mcap"}
     repaired, failed = repair_leftovers(tmp_path, but=tmp_path / "mine.mcap")
-    assert repaired == (tmp_path / "a.mcap",)
+    assert [done.path for done in repaired] == [tmp_path / "a.mcap"]
     assert len(failed) == 1
     assert "is being written" in failed[0]
     assert {p: p.read_bytes() for p in untouched} == untouched

@@ -11,6 +11,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
+from agent.log.recover import RecoverReport
 from agent.process import __main__ as process_main
 from agent.process import children, recorder
 from agent.process.children import Children
@@ -116,8 +117,9 @@ def test_the_recorders_process_says_so_and_tells_who_started_it(
 def test_who_records_is_told_of_what_was_left_unfinished_whether_it_could_be_mended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    log, mended = tmp_path / "run_2.mcap", tmp_path / "run.mcap"
-    report = RecordReport(log, True, None, {}, (mended,), ("cannot repair old.mcap: found No space left",), (log,))
+    log, mended, damaged, original = (tmp_path / f"run{end}" for end in ("_3.mcap", ".mcap", "_2.mcap", ".kept"))
+    repaired = (RecoverReport(mended, True, 9, ()), RecoverReport(damaged, True, 9, (), True, original))
+    report = RecordReport(log, True, None, {}, repaired, ("cannot repair old.mcap: found No space left",), (log,))
     monkeypatch.setattr(recorder, "run_recorder", lambda *_, **__: report)
     (tmp_path / "run.json").write_bytes(b"{}")
     said: list[str] = []
@@ -127,7 +129,8 @@ def test_who_records_is_told_of_what_was_left_unfinished_whether_it_could_be_men
     )  # fmt: skip
     assert started(command, Listener(said.append)) == 0
     assert said == [
-        f"repaired {mended}", "not repaired: cannot repair old.mcap: found No space left", f"{log}: complete",
+        f"repaired {mended}", f"repaired {damaged}, the damaged original is kept as {original}",
+        "not repaired: cannot repair old.mcap: found No space left", f"{log}: complete",
     ]  # fmt: skip
 
 
