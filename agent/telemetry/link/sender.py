@@ -37,11 +37,12 @@ class Sender:
         self._end = End.OPEN
         self._written_at_end = 0
         self._end_sent_s: float | None = None
-        self._stuck_at: tuple[int, bool] = (0, False)
         self._stuck_since_s = 0.0
         self._patience_s = RESEND_AFTER_S
-        self._had = 0  # messages that the recorder had at its last answer
+        self._holes: list[Range] = []  # what the recorder missed at its last answer before the newest that it had
+        self._newest_since_s = 0.0  # when it last had a newer one
         self._sweep: int | None = None  # how far what is missing has been sent again; None: that is not going on
+        self._until = 0  # where that ends
         self._credit = 0  # batches sent again between two signs of progress; doubles with each
         self._left = 0  # of the credit
 
@@ -101,17 +102,24 @@ class Sender:
             yield self._header(self._next), b""
 
     def on_status(self, status: StreamStatus | None, now_s: float) -> None:
-        """Take note of what the recorder has; None when it has nothing of this key."""
-        if status is None or status.source != self._source.source_id:
-            self._have, self._end_acknowledged = Coverage(self._gone.ranges), False
-        else:
-            self._have, self._end_acknowledged = Coverage((*status.have, *self._gone.ranges)), status.ended
-        self._note_recorded(() if status is None or status.source != self._source.source_id else status.have)
-        at, had = (self.acknowledged, self._end_acknowledged), self._have.count
-        if at != self._stuck_at or had > self._had:
-            self._stuck_at, self._stuck_since_s, self._patience_s = at, now_s, RESEND_AFTER_S
+        """Take note of what the recorder has; None when it has nothing of this key.
+
+        What it misses before the newest that it has is lost, or on its way again; what is newer may be on its way.  New
+        messages that arrive are so no sign that what is sent again does.
+        """
+        before = self._have.end
+        told = () if status is None or status.source != self._source.source_id else status.have
+        self._have = Coverage((*told, *self._gone.ranges))
+        self._end_acknowledged = status is not None and status.source == self._source.source_id and status.ended
+        self._note_recorded(told)
+        recorded, newer = Coverage(told), self._have.end > before
+        filled = any(recorded.missing(first, last) != [(first, last)] for first, last in self._holes)
+        if newer:
+            self._newest_since_s = now_s
+        if filled or (newer and not self._holes):
+            self._stuck_since_s, self._patience_s = now_s, RESEND_AFTER_S
             self._credit = self._left = min(2 * self._credit, RESEND_BATCHES_MAX)
-        self._had = had
+        self._holes = self._have.missing(self._source.oldest, self._have.end - 1)
 
     def go_on_alone(self) -> None:
         """Nobody records any more: wait for no answer about what was published, which stays unrecorded."""
@@ -121,7 +129,8 @@ class Sender:
         """Return what the recorder misses, when it has missed the same for a while; waits longer each time.
 
         Called again at once it goes on from there, twice as far after every answer that shows it helps: a long history
-        goes out as fast as it is taken, and a deaf recorder is not flooded.
+        goes out as fast as it is taken, and a deaf recorder is not flooded.  While newer ones arrive, those beyond the
+        newest that it has are left out: they are on their way.
         """
         missing = self._missing()
         end_missing = self.ended and not self._end_acknowledged
@@ -133,6 +142,9 @@ class Sender:
                 return
             self._stuck_since_s, self._patience_s = now_s, min(2 * self._patience_s, RESEND_AFTER_MAX_S)
             self._sweep, self._credit, self._left = 0, batches_max, batches_max
+            arrives = now_s - self._newest_since_s < RESEND_AFTER_S
+            self._until = (self._have.end if arrives else self._next) - 1
+        missing = [(first, min(last, self._until)) for first, last in missing]
         yield from self._resend(missing, self._sweep, min(batches_max, self._left))
         if end_missing and not self._sweeping:
             yield self._header(self._next), b""

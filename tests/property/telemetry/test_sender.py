@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import random
+from collections import Counter, deque
 from itertools import pairwise
 
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from agent.telemetry.link.coverage import Coverage
+from agent.telemetry.link.coverage import Coverage, count_of
 from agent.telemetry.link.sender import (
     LOCKSTEP_PAUSE_S,
     PRESSING_PAUSE_S,
@@ -189,6 +191,52 @@ def test_a_recorder_that_comes_late_gets_a_long_history_in_seconds_not_minutes()
     assert recorder.payload == {n: n % 251 for n in range(3000)}
     assert now_s < 6.0
     assert resent <= published + 10, "each batch once, and the end"
+
+
+def recorded_live(delay_s: float, missed: int, keep: int) -> tuple[Recorder, dict[int, int]]:
+    """A recorder that came when `missed` were gone by, over a network that takes so long; how often each was sent."""
+    source, recorder, sent = Numbers(keep), Recorder(), Counter[int]()
+    sender, on_its_way = Sender(source, window=None), deque[tuple[float, BatchHeader, bytes]]()
+    source.written, answered = missed, False
+    list(sender.new(missed, 0.0))
+    for tick in range(1, 3000):  # 20 ms each, 4 new ones in each; an answer every 0.24 s, to what had come by then
+        now_s = 0.02 * tick
+        source.written += 4
+        while on_its_way and on_its_way[0][0] <= now_s:
+            recorder.receive(*on_its_way.popleft()[1:])
+        if tick % 12 == 0 and recorder.have.count:
+            answered = True
+            sender.on_status(recorder.status(), now_s)
+        batches = list(sender.new(32, now_s)) + (list(sender.again(2, now_s)) if answered else [])
+        sent.update(header.first + i for header, payload in batches for i in range(len(payload)))
+        on_its_way.extend((now_s + delay_s, *batch) for batch in batches)
+    return recorder, sent
+
+
+def test_what_was_missed_is_sent_again_while_new_ones_flow_before_the_source_has_to_drop_it() -> None:
+    recorder, sent = recorded_live(0.0, 1000, keep=3000)
+    assert recorder.have.ranges[0][0] == 0
+    assert len(recorder.have.ranges) == 1
+    assert max(sent.values()) == 1, "nothing twice"
+
+
+@pytest.mark.parametrize(("delay_s", "missed", "still"), [(0.5, 8, 0), (0.5, 1000, 0), (3.0, 1000, 1000)])
+def test_a_slow_network_gets_no_new_message_twice_and_is_not_flooded(delay_s: float, missed: int, still: int) -> None:
+    recorder, sent = recorded_live(delay_s, missed, keep=10_000)
+    assert count_of(recorder.have.missing(0, 11_000)) <= still
+    assert max(sent[n] for n in range(missed, 13_000)) == 1
+    assert sum(sent[n] for n in range(missed)) <= missed
+
+
+def test_the_newest_are_sent_again_when_none_arrives_any_more() -> None:
+    source, recorder = Numbers(1000), Recorder()
+    sender = Sender(source, window=None)
+    source.written = 8
+    first, second = sender.new(2, 0.0)
+    recorder.receive(*first)
+    sender.on_status(recorder.status(), 0.25)
+    assert list(sender.again(2, 1.0)) == []
+    assert list(sender.again(2, 1.25)) == [second]
 
 
 def test_an_answer_about_another_run_is_no_answer() -> None:
