@@ -107,7 +107,7 @@ def record(command: RecordCommand, listener: Listener) -> int:
         listener.say(f"{report.path}: complete")
     else:
         why = report.failure or "; ".join(missing(report.completeness)) or "an earlier one of its logs says what"
-        listener.say(f"{report.path}: INCOMPLETE: {why}")
+        listener.say(f"{report.logs[-1]}: INCOMPLETE: {why}")
     return 4 if report.failure else _code(command, whole=report.complete)
 
 
@@ -118,8 +118,11 @@ def missing(completeness: Mapping[str, str]) -> list[str]:
         member, _, what = key.rpartition(".")
         if what != "rows_expected":
             continue
-        of = {name: completeness[f"{member}.{name}"] for name in ("rows_recorded", "end", *_WHERE)}
-        if expected == "0":
+        names = ("rows_before", "missing_before", "rows_recorded", "end", *_WHERE)
+        of = {name: completeness[f"{member}.{name}"] for name in names}
+        if of["missing_before"] != "0":
+            found.append(f"{of['missing_before']} rows of {member} are missing in the logs before")
+        if expected == of["rows_before"] == "0":
             found.append(f"no row of {member} came")
         elif of["rows_recorded"] != expected:
             where = ", ".join(f"{of[name]} lost {words}" for name, words in _WHERE.items() if of[name] != "0")

@@ -112,7 +112,13 @@ def _losses(log: AnyLog) -> list[str]:
     told = log.metadata.get("completeness", {})
     places = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
     counts = {(member, place): told.get(f"{member}.{key}", "0") for member in log.gaps for key, place in places.items()}
-    return [f"{count} rows of {member} were lost {place}" for (member, place), count in counts.items() if count != "0"]
+    lost = [f"{count} rows of {member} were lost {place}" for (member, place), count in counts.items() if count != "0"]
+    awaited = {member: told.get(f"{member}.awaited", "0") for member in log.gaps}
+    return lost + [
+        f"{count} rows of {member} had not come when the next log began, which has them if they came late"
+        for member, count in awaited.items()
+        if count != "0"
+    ]
 
 
 def _strangers(log: AnyLog) -> list[str]:

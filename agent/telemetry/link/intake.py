@@ -118,6 +118,7 @@ class Intake:
         new = stream.note(header, len(rows))
         if sequences:
             stream.note_sequences(header.first, sequences)
+            stream.note_late(new, header.first, sequences)
         return [Rows(stream.address, rows[a - header.first : b + 1 - header.first]) for a, b in new]
 
     def _wrong(self, member: str, rows: NDArray[np.void]) -> Rejection | None:
@@ -185,6 +186,11 @@ class Intake:
         self.rejected.clear()
         for stream in self.streams.values():
             stream.begin_log()
+
+    @property
+    def whole(self) -> bool:
+        """Whether all rows of every run that came are in the logs together, and every member has come."""
+        return all(stream.all_there and stream.whole_before for stream in self._rows_of.values())
 
     def completeness(self, lost_on_disk: Mapping[str, int], *, continued: bool = False) -> dict[str, str]:
         """The last metadata record: per member what was written, what is here, what is missing and why.

@@ -66,7 +66,7 @@ class RecordReport:
     """What is in the log."""
 
     path: Path
-    complete: bool
+    complete: bool  # of all logs together: a row that came late is in a later one than its stretch
     failure: str | None  # why the file ended before its time
     completeness: Mapping[str, str]  # of the last log
     repaired: tuple[RecoverReport, ...]
@@ -97,7 +97,7 @@ def run(
             completeness = recorder.finish()
     return RecordReport(
         path=options.path,
-        complete=recorder.failure is None and recorder.complete,
+        complete=recorder.failure is None and recorder.whole,
         failure=recorder.failure,
         completeness=completeness,
         repaired=repair.repaired,
@@ -126,7 +126,6 @@ class _Recorder:
         self._left_out_told: Mapping[str, int] = {}
         self._left_out_s = 0.0
         self.logs: list[Path] = []
-        self.complete = True  # all logs that are finished
         self.failure: str | None = None
         self._budget_s = time.monotonic()
         self._open(options.path)
@@ -172,6 +171,10 @@ class _Recorder:
             for message in messages:
                 self._take(*message)
 
+    @property
+    def whole(self) -> bool:
+        return self._intake.whole
+
     def finish(self) -> Mapping[str, str]:
         """End the last file; returns its last metadata record.  Safe twice: the first time counts."""
         if self._completeness is None:
@@ -195,7 +198,6 @@ class _Recorder:
         completeness = self._make_completeness(continued)
         if not self._log.finish({"completeness": completeness}):
             completeness = self._make_completeness(continued)
-        self.complete = self.complete and completeness["complete"] == "true"
         self.failure = self.failure or self._log.failure
         return completeness
 

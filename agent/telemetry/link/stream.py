@@ -30,6 +30,9 @@ class Stream:
         self.since = 0  # number at which the present log begins
         self.here = 0  # messages that went into it
         self.refused = 0  # messages on this key that did not belong
+        self.late = Coverage()  # of those in the present log what belongs to the stretch of an earlier one
+        self.whole_before = True  # all of the sources before this one is in the logs
+        self._late_at: dict[int, int] = {}  # sequence numbers at the edges of that
         self._missed_before = 0
         self._rival_s: float | None = None  # since when another source has been speaking in this one's silence
         self._past: set[int] = set()  # sources before this one
@@ -76,6 +79,8 @@ class Stream:
         if source in self._past:
             return False
         self._past.add(self.source)
+        self.whole_before = self.whole_before and (not self.written or self.all_there)
+        self.late, self._late_at = Coverage(), {}
         self.source, self.have, self.end = source, Coverage(), End.OPEN
         self.written = self.missed = self.since = self._missed_before = 0
         self._sequence_at, self._rival_s = {}, None
@@ -88,7 +93,7 @@ class Stream:
     def begin_log(self) -> None:
         """What comes from now on goes into another log."""
         self.since, self.here, self.duplicates, self._missed_before = self.have.end, 0, 0, self.missed
-        self.refused = 0
+        self.refused, self.late, self._late_at = 0, Coverage(), {}
 
     def note_sequences(self, first: int, sequences: Sequence[int]) -> None:
         """Remember the sequence numbers at the edges of what came."""
@@ -98,24 +103,46 @@ class Stream:
             edges = {n for r in self.have.ranges for n in r}
             self._sequence_at = {n: s for n, s in self._sequence_at.items() if n in edges}
 
+    def note_late(self, new: Sequence[tuple[int, int]], first: int, sequences: Sequence[int]) -> None:
+        """Remember which of the rows that are `new`, of those from number `first` on, an earlier log has not."""
+        for begin, last in new:
+            end = min(last, self.since - 1)
+            if begin <= end:
+                self.late.add(begin, end)
+                self._late_at |= {begin: sequences[begin - first], end: sequences[end - first]}
+        if len(self._late_at) > _EDGES_MAX:
+            edges = {n for r in self.late.ranges for n in r}
+            self._late_at = {n: s for n, s in self._late_at.items() if n in edges}
+
     def follows(self, header: BatchHeader, sequences: Sequence[int]) -> bool:
         """Whether the sequence numbers go up, within the rows and from the row before them."""
         before = self._sequence_at.get(header.first - 1, -1) if header.source == self.source else -1
         return all(map(lt, (before, *sequences), sequences))
 
     def told(self, lost: int, *, continued: bool) -> dict[str, str]:
-        """What of it is in the present log, and what is not and why; continued: another log takes up from here."""
+        """What of it is in the present log, and what is not and why; continued: another log takes up from here.
+
+        A row that comes late is in a later log than its stretch, and counts there apart; so while another log follows,
+        one that has not come is not called lost.
+        """
         goes_on = continued and self.end is End.OPEN
         until = self.have.end if goes_on else self.written
         missing = count_of(self.have.missing(self.since, until - 1))
         in_ring = self.missed - self._missed_before
+        on_the_way = max(0, missing - in_ring)
+        late = [(self._late_at[first], self._late_at[last]) for first, last in self.late.ranges[:GAPS_MAX]]
         return {
+            "rows_before": str(self.since),
             "rows_expected": str(until - self.since),
-            "rows_recorded": str(self.here - lost),
+            "rows_recorded": str(max(0, self.here - self.late.count - lost)),
+            "late_rows": str(self.late.count),
+            "late": json.dumps(late),
             "end": "continued" if goes_on else self.end.name.lower(),
             "gaps": json.dumps(self.gaps(until)),
             "lost_in_ring": str(in_ring),
-            "lost_on_the_way": str(max(0, missing - in_ring)),
+            "lost_on_the_way": "0" if continued else str(on_the_way),
+            "awaited": str(on_the_way) if continued else "0",
+            "missing_before": str(count_of(self.have.missing(0, self.since - 1))),
             "lost_on_disk": str(lost),
             "duplicates": str(self.duplicates),
         }
@@ -127,6 +154,11 @@ class Stream:
         goes_on = continued and self.end is End.OPEN
         until = self.have.end if goes_on else self.written
         return (goes_on or self.end is not End.OPEN) and not self.have.missing(self.since, until - 1)
+
+    @property
+    def all_there(self) -> bool:
+        """Whether all of the present source is in the logs, whichever."""
+        return bool(self.have.count) and self.end is not End.OPEN and not self.have.missing(0, self.written - 1)
 
     def gaps(self, until: int) -> list[tuple[int, int]]:
         """Sequence numbers (first, last) of the rows that are missing, as far as their neighbours tell."""

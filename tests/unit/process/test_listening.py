@@ -19,12 +19,13 @@ from agent.telemetry.link.session import FREE_PORT
 from agent.telemetry.link.wire import End
 
 PAPER = configs.CELLS_DIR / "paper.toml"
-LOG = Path("run.mcap")
+LOG, LAST = Path("run.mcap"), Path("run_2.mcap")
 
 
 def of(member: str, **changes: int | str) -> dict[str, str]:
     whole = {"rows_expected": 9, "rows_recorded": 9, "end": "finished", "lost_in_ring": 0, "lost_on_the_way": 0}
-    return {f"{member}.{key}": str(value) for key, value in (whole | {"lost_on_disk": 0} | changes).items()}
+    more = {"lost_on_disk": 0, "rows_before": 0, "missing_before": 0}
+    return {f"{member}.{key}": str(value) for key, value in (whole | more | changes).items()}
 
 
 @pytest.mark.parametrize("with_parent", [None, 1])
@@ -73,6 +74,8 @@ def test_telemetry_says_what_is_missing_and_ends_with_1_where_no_run_reports_it(
             | of("right", rows_recorded=8, lost_on_the_way=1),
             "2 of 9 rows of left, 3 lost in the ring, 4 lost on the disk; 8 of 9 rows of right, 1 lost on the way",
         ),
+        (of("left", rows_expected=0, rows_recorded=0, rows_before=9), "an earlier one of its logs says what"),
+        (of("left", rows_before=5, missing_before=3), "3 rows of left are missing in the logs before"),
         (of("left") | {"rejected.too_large": "3"}, "an earlier one of its logs says what"),
     ],
 )
@@ -82,7 +85,7 @@ def test_a_recorder_says_why_its_log_is_not_complete(
     with_parent: int | None, code: int,
 ) -> None:  # fmt: skip
     monkeypatch.setattr("agent.process.listening.begin", lambda *_, **__: lambda: False)
-    report = RecordReport(LOG, False, None, completeness, (), (), (LOG,))
+    report = RecordReport(LOG, False, None, completeness, (), (), (LOG, LAST))
     monkeypatch.setattr(recorders, "run_recorder", lambda *_, **__: report)
     (tmp_path / "run.json").write_bytes(b"{}")
     words: list[str] = []
@@ -91,7 +94,7 @@ def test_a_recorder_says_why_its_log_is_not_complete(
         run_info=tmp_path / "run.json", with_parent=with_parent,
     )  # fmt: skip
     assert record(command, Listener(words.append)) == code
-    assert words[-1] == f"{LOG}: INCOMPLETE: {why}"
+    assert words[-1] == f"{LAST}: INCOMPLETE: {why}", "the log that the figures are of"
 
 
 def test_of_what_is_whole_nothing_is_missing() -> None:

@@ -449,8 +449,10 @@ def test_a_recorder_that_lost_something_makes_the_log_incomplete() -> None:
 
 @pytest.mark.parametrize(("end", "said"), [("continued", True), ("finished", False)])
 def test_a_part_of_a_run_says_that_it_goes_on_elsewhere(end: str, said: bool) -> None:
-    log = replace(small_run(), metadata={"completeness": {"left.end": "finished", "right.end": end}})
-    assert any("goes on in the next log" in text for text in summarise(log).missing) is said
+    told = {"left.end": "finished", "right.end": end, "right.awaited": "7" if said else "0"}
+    missing = summarise(replace(small_run(), metadata={"completeness": told})).missing
+    assert any("goes on in the next log" in text for text in missing) is said
+    assert any("7 rows of right had not come when the next log began" in text for text in missing) is said
 
 
 # ----------------------------------------------------------------------------------------------------- arithmetic, form

@@ -170,8 +170,56 @@ def test_logs_of_one_run_have_their_parts_of_it_and_what_comes_late_is_in_the_la
     second = door.completeness({})
     assert (first["left.rows_expected"], first["left.rows_recorded"]) == ("10", "8")
     assert (first["left.end"], first["left.gaps"], first["left.lost_in_ring"]) == ("continued", "[[4, 5]]", "1")
-    assert (second["left.rows_expected"], second["left.rows_recorded"]) == ("10", "12")
+    assert (first["left.lost_on_the_way"], first["left.awaited"]) == ("0", "1"), "it may come in the next log"
+    assert (second["left.rows_before"], second["left.rows_expected"], second["left.rows_recorded"]) == (
+        "10",
+        "10",
+        "10",
+    )
+    assert (first["left.late_rows"], second["left.late_rows"], second["left.late"]) == ("0", "2", "[[4, 5]]")
+    assert second["left.missing_before"] == "0"
     assert (second["left.end"], second["left.gaps"], second["left.lost_in_ring"]) == ("finished", "[]", "0")
+
+
+def run_of(door: Intake, member: str, source: int, *stretches: tuple[int, int]) -> None:
+    """These of the 9 rows of a run, and its end; a log ends behind each stretch but the last."""
+    rows, key = make_rows(member, 9), Address(CELL, member, Kind.STATE).key
+    rows["sequence"] *= 4
+    for i, (first, last) in enumerate(stretches):
+        if i:
+            door.completeness({}, continued=True)
+            door.begin_log()
+        door.take(key, rows[first : last + 1].tobytes(), header(first, 9, source=source, by=sent(member)))
+    door.take(key, b"", header(9, 9, end=End.FINISHED, source=source, by=sent(member)))
+
+
+def test_a_recording_is_whole_when_its_logs_together_have_every_row() -> None:
+    door = intake()
+    run_of(door, "left", 5, (5, 6), (0, 4), (7, 8))
+    told = door.completeness({})
+    assert (told["left.rows_before"], told["left.rows_expected"], told["left.rows_recorded"]) == ("7", "2", "2")
+    assert not door.whole, "the others are absent"
+    run_of(door, PLANT, 6, (0, 8))
+    run_of(door, "right", 7, (5, 8), (0, 4))
+    told = door.completeness({})
+    assert (told["right.late_rows"], told["right.late"], told["right.rows_recorded"]) == ("5", "[[0, 16]]", "0")
+    assert door.whole
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_recording_without_a_row_of_an_earlier_run_is_not_whole(whole: bool) -> None:
+    door = intake()
+    for member in ("right", PLANT):
+        run_of(door, member, 7, (0, 8))
+    run_of(door, "left", 5, (0 if whole else 1, 3), (4, 8))
+    assert door.whole is whole
+    door.begin_log()
+    assert door.completeness({})["left.missing_before"] == str(int(not whole))
+    for source in (6, 8):
+        run_of(door, "left", source, (0, 8))
+        assert door.streams[KEY].source == source
+        assert door.whole is whole
+        door.begin_log()
 
 
 def test_rows_that_come_twice_are_in_the_log_once() -> None:
@@ -233,6 +281,7 @@ def test_an_end_without_rows_is_taken_and_makes_no_arm_complete() -> None:
         door.take(key, b"", header(at, at, end=End.FINISHED, by=sent(member)))
     assert door.streams[KEY].status.ended, "or its telemetry would send it again for ever"
     assert door.completeness({})["complete"] == "false"
+    assert not door.whole
     door.take(KEY, GOOD, header(0, 4, source=8))
     door.take(KEY, b"", header(4, 4, end=End.FINISHED, source=8))
     assert door.completeness({})["complete"] == "true"
@@ -337,6 +386,7 @@ def test_complete_means_every_row_and_every_end_of_every_member(absent: str) -> 
         if not (member == "left" and absent == "the end"):
             door.take(key, b"", header(6, 6, end=End.DIED, by=sent(member)))
     assert door.completeness({})["complete"] == str(absent == "nothing").lower()
+    assert door.whole == (absent == "nothing")
 
 
 def test_a_long_run_with_losses_keeps_its_books_bounded() -> None:
