@@ -70,7 +70,7 @@ class Prepared:
 def prepare(log: AnyLog) -> Prepared:
     """Find the rows of the run, match the plant's with the arms'.  A poor log is prepared too: `missing` says why."""
     info = read_info(log)
-    missing = [*info.notes, *log.problems, *_parted(log), *_losses(log), *_strangers(log)]
+    missing = [*info.notes, *log.problems, *_mended(log), *_parted(log), *_losses(log), *_strangers(log)]
     described = [arm.name for arm in info.arms]
     whole = {name: Table.of(log.agents[name]) for name in described if len(log.agents.get(name, ()))}
     rows = {name: own for name, every in whole.items() if len(own := in_run(every, info))}
@@ -96,6 +96,12 @@ def _without_motion(log: AnyLog, name: str, whole: Mapping[str, Table]) -> str:
         return f"no row of the arm {name}"
     why = next((e.text for e in log.events if e.source == name and e.text.startswith(HOLDS)), "")
     return f"no row of the arm {name} is of the motion" + (f": {name} {why}" if why else "")
+
+
+def _mended(log: AnyLog) -> list[str]:
+    """What was wrong with a log before it was mended: what was left out then is not in it."""
+    problems = log.metadata.get("recovery", {}).get("problems", "").splitlines()
+    return [f"the log was mended, and before that: {problem}" for problem in problems]
 
 
 def _parted(log: AnyLog) -> list[str]:

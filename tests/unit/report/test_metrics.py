@@ -447,6 +447,13 @@ def test_a_recorder_that_lost_something_makes_the_log_incomplete() -> None:
     assert not any("disk" in text for text in results.missing)
 
 
+def test_a_mended_log_says_what_was_wrong_with_it() -> None:
+    told = {"utc_ns": "1", "damaged": "1", "problems": "damaged at byte 9: a chunk\nthe file ends without its index"}
+    missing = summarise(replace(small_run(), complete=False, metadata={"recovery": told})).missing
+    before = "the log was mended, and before that: "
+    assert {f"{before}damaged at byte 9: a chunk", f"{before}the file ends without its index"} <= set(missing)
+
+
 @pytest.mark.parametrize(("end", "said"), [("continued", True), ("finished", False)])
 def test_a_part_of_a_run_says_that_it_goes_on_elsewhere(end: str, said: bool) -> None:
     told = {"left.end": "finished", "right.end": end, "right.awaited": "7" if said else "0"}
