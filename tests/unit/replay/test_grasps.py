@@ -100,6 +100,7 @@ def test_a_utc_that_is_off_makes_no_other_pairs(truth: bool) -> None:
         own["p_object"][:, 0] = np.arange(40.0)
     right["utc_ns"][10:] -= 7 * PERIOD_NS
     left["utc_ns"] += 3 * PERIOD_NS
+    plant["t"] += 4.0  # it began before the trajectory
     right["stamp_ns"] += 10**14  # of another host
     found = grasps(log_of(left, right, plant if truth else None), paper())
     assert [(arm.rows, arm.offset_m) for arm in found.arms] == [(40, 0.0), (40, 0.0)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from agent.log.servos import servo_table
 from agent.modes import Mode
 from agent.report.metrics import summarise
 from agent.report.series import internal_wrenches, rotate
 from agent.safety import Flag
 from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.health import Health
 from tests.support.telemetry.small_run import RATE_HZ, TICKS, keep, small_run
 from tests.support.telemetry.synthetic_run import (
     paper_run,
@@ -61,6 +64,19 @@ def test_peaks_and_limits_are_of_the_whole_run_and_means_of_the_motion() -> None
     assert (left.shift_max_m, left.unexpected_fast_max_N) == (0.004, 1.25)
     assert left.modes == ((-0.5, "READY"), (0.0, "TRACK"))
     assert results.worst_torque == (0.5, "left", "shoulder")
+
+
+def test_a_gripper_that_held_while_its_arm_waited_for_a_start_is_told_of() -> None:
+    log = small_run()
+    rows = log.agents["left"]
+    rows["t"] -= 86_400.0
+    rows["mode"] = Mode.READY
+    none, one = (float("nan"),), int(rows["utc_ns"][50])
+    said = Health(one, (1,), ("shoulder",), none, none, (0,), *[none] * 6, 0.04, 0.03, 8.0, 9.0)
+    log = replace(log, servos={"left": servo_table([said], rows["utc_ns"], rows["t"])})
+    grip = summarise(log).arms["left"].grip
+    assert grip is not None
+    assert (grip.width_max_m, grip.force_max_N) == (0.04, 8.0)
 
 
 def test_the_mean_internal_force_is_of_the_arm_with_the_most_until_the_first_hold() -> None:
