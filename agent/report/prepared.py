@@ -119,6 +119,13 @@ def _losses(log: AnyLog) -> list[str]:
     places = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
     counts = {(member, place): told.get(f"{member}.{key}", "0") for member in log.gaps for key, place in places.items()}
     lost = [f"{count} rows of {member} were lost {place}" for (member, place), count in counts.items() if count != "0"]
+    if not told and not log.complete:
+        lost.append(
+            "nothing in the log says whether rows are missing (`completeness`), so it does not count as complete"
+        )
+    lost += [
+        f"{member} had not ended when the recorder did" for member in log.gaps if told.get(f"{member}.end") == "open"
+    ]
     awaited = {member: told.get(f"{member}.awaited", "0") for member in log.gaps}
     return lost + [
         f"{count} rows of {member} had not come when the next log began, which has them if they came late"

@@ -447,6 +447,19 @@ def test_a_recorder_that_lost_something_makes_the_log_incomplete() -> None:
     assert not any("disk" in text for text in results.missing)
 
 
+def test_a_log_that_is_not_complete_says_why_though_every_row_is_there() -> None:
+    def said(**told: str) -> tuple[str, ...]:
+        metadata = {"completeness": {key.replace("_", "."): value for key, value in told.items()}} if told else {}
+        results = summarise(replace(small_run(), complete=False, metadata=metadata))
+        assert not results.complete
+        return results.missing
+
+    assert ["nothing in the log says whether rows are missing" in text for text in said()] == [True]
+    assert said(complete="false", left_end="finished", right_end="open") == (
+        "right had not ended when the recorder did",
+    )
+
+
 def test_a_mended_log_says_what_was_wrong_with_it() -> None:
     told = {"utc_ns": "1", "damaged": "1", "problems": "damaged at byte 9: a chunk\nthe file ends without its index"}
     missing = summarise(replace(small_run(), complete=False, metadata={"recovery": told})).missing
