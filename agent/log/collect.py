@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,6 +68,7 @@ class Collected(Generic[Sink]):
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.problems: list[str] = []
+        self.again = 0  # events that were there before
         self.layouts: dict[str, Layout] = {}
         self.path = path
         self._any_layout, self._needs = any_layout, needs
@@ -74,6 +76,7 @@ class Collected(Generic[Sink]):
         self._schemas: dict[int, Schema] = {}
         self._kinds: dict[int, tuple[str, Kind]] = {}  # member and kind by channel
         self._row_bytes: dict[str, int] = {}
+        self._told: set[bytes] = set()  # digests of the events
 
     def read(self) -> None:
         """Read the file once.  Raises LogError."""
@@ -154,6 +157,11 @@ class Collected(Generic[Sink]):
                 self._add_health(member, payload.tobytes())
 
     def _add_event(self, payload: bytes) -> None:
+        digest = hashlib.blake2b(payload, digest_size=16).digest()
+        if digest in self._told:
+            self.again += 1
+            return
+        self._told.add(digest)
         try:
             self.events.append(Event.from_json(text_of(payload)))
         except ValueError as error:

@@ -42,7 +42,7 @@ class Log(Generic[Rows]):
     cell: str
     agents: dict[str, Rows]  # by arm: rows of AGENT_STATE.dtype, by sequence, each once
     plant: Rows | None  # rows of PLANT_STATE.dtype; None on real arms
-    events: list[Event]  # by time
+    events: list[Event]  # by time, each once
     attachments: dict[str, bytes]
     metadata: dict[str, dict[str, str]]
     complete: bool  # the recorder finished the file, nothing is missing, nothing is damaged
@@ -83,7 +83,7 @@ def read_log(path: Path) -> RunLog:
     """
     collected = Collected(path, _RowsInMemory)
     collected.read()
-    return _log(collected, {member: _by_sequence(sink.rows()) for member, sink in collected.rows.items()})
+    return _log(collected, {member: sink.rows() for member, sink in collected.rows.items()})
 
 
 @contextmanager
@@ -100,7 +100,7 @@ def open_log(
         collected.read()
         for stored in collected.rows.values():
             stored.finish()
-        yield _log(collected, {member: _by_sequence(Table(stored)) for member, stored in collected.rows.items()})
+        yield _log(collected, {member: Table(stored) for member, stored in collected.rows.items()})
 
 
 class _RowsInMemory:
@@ -122,8 +122,13 @@ class _RowsInMemory:
 AnyRows = TypeVar("AnyRows", NDArray[np.void], Table)
 
 
-def _log(collected: Collected[Any], rows: Mapping[str, AnyRows]) -> Log[AnyRows]:
+def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows]:
+    rows = {member: _by_sequence(own) for member, own in every.items()}
+    again = {f"the rows of {member}": len(own) - len(rows[member]) for member, own in every.items()}
+    again["the events"] = collected.again
     problems = collected.problems
+    twice = "are in the log more than once, and count once"
+    problems += [f"{count} of {what} {twice}" for what, count in again.items() if count]
     agents = {member: own for member, own in rows.items() if member != PLANT}
     if not agents:
         raise LogError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,22 @@ def test_rows_are_sorted_and_each_is_there_once_whatever_the_order_they_came_in(
         maker.write("left", part)
     maker.finish()
     assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == rows.tobytes()
+
+
+def test_what_is_in_a_log_twice_counts_once_and_is_told(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
+    rows, event = make_rows("left", 60), Event(5, "left", Level.WARN, "mode TRACK → HOLD", {"limit": 1.5})
+    for _ in range(2):
+        maker.write("left", rows)
+        maker.event(event)
+    maker.event(replace(event, utc_ns=6))
+    maker.finish()
+    log = read_log(tmp_path / "run.mcap")
+    assert log.agents["left"].tobytes() == rows.tobytes()
+    assert log.events == [event, replace(event, utc_ns=6)]
+    told = "are in the log more than once, and count once"
+    assert log.problems == (f"60 of the rows of left {told}", f"1 of the events {told}")
+    assert not log.complete
 
 
 def test_rows_by_column_are_the_rows_whatever_the_order_they_came_in(tmp_path: Path) -> None:
