@@ -85,7 +85,7 @@ class Collected(Generic[Sink]):
             scan = LogScan(file)
             for record in scan:
                 self._add(record)
-        self.events.sort(key=lambda event: event.utc_ns)
+        self.events.sort(key=_order)
         self.problems = [*scan.problems, *self.problems]
 
     def _add(self, record: object) -> None:
@@ -177,6 +177,14 @@ class Collected(Generic[Sink]):
 def _numbers(layout: Layout) -> list[tuple[str, str, int, str]]:
     """What a reader needs of a layout to read it rightly; in what words a field is described is not of it."""
     return [(f.name, f.ros_type, f.length, f.unit) for f in layout.fields]
+
+
+def _order(event: Event) -> tuple[int, bool]:
+    """By time; of what has the same the file's order, but what an agent tells before its first row comes before that.
+
+    Telemetry tells of a row (`sequence`) before it looks for what the agent said, and simulated time may stand still.
+    """
+    return event.utc_ns, event.data.get("sequence") == 0
 
 
 def require_log(path: Path) -> None:

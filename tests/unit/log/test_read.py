@@ -60,6 +60,18 @@ def test_what_is_in_a_log_twice_counts_once_and_is_told(tmp_path: Path) -> None:
     assert not log.complete
 
 
+def test_what_an_agent_tells_before_its_first_row_comes_before_what_the_row_tells(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap")
+    first = Event(5, "left", Level.WARN, "safety: off track", {"sequence": 0})
+    told, later = Event(5, "left", Level.INFO, "torque on"), Event(9, "left", Level.WARN, "mode", {"sequence": 8})
+    ended = Event(9, "left", Level.INFO, "run ended in HOLD")
+    maker.write("left", make_rows("left", 10))
+    for event in (first, told, later, ended):
+        maker.event(event)
+    maker.finish()
+    assert read_log(tmp_path / "run.mcap").events == [told, first, later, ended]
+
+
 def test_rows_by_column_are_the_rows_whatever_the_order_they_came_in(tmp_path: Path) -> None:
     rows = make_rows("left", 60)
     maker = LogMaker(tmp_path / "run.mcap")
