@@ -86,7 +86,7 @@ class RingHeir(RingWriter):
         A file that has been cut or written over meanwhile is made anew first, or nobody who comes later could read it.
         """
         if damage := self.damage:
-            self._say(f"the file was {damage}, and is made anew")
+            self._lose(f"the file was {damage}, and is made anew")
             self.mend(())
         self._put(self.written, self._staged)
         self.written += 1
@@ -122,9 +122,9 @@ class RingHeir(RingWriter):
             self._fail(error)
 
     def _fail(self, error: OSError) -> None:
-        self._say(error.strerror or str(error))
+        self._lose(error.strerror or str(error))
 
-    def _say(self, why: str) -> None:
+    def _lose(self, why: str) -> None:
         if not self._has_failed:
             self._has_failed = True
             self.failed(why)
