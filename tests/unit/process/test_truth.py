@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,11 +11,14 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
+from agent.process import plant
 from agent.process.plant import Truth
 from agent.process.simulated import plant_spec
+from agent.telemetry.ring.writer import RingWriter, RowsUntaken
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.plant import Observation
+from sim_backend.served.options import LostArm, Summary
 from tests.support.starts import start_joints
 
 UTC_NS = 10**18
@@ -63,3 +68,32 @@ def test_a_row_has_every_value_of_its_observation_and_nothing_of_the_one_before(
             assert field.tolist() == value.ravel().tolist(), name
             assert np.count_nonzero(row[name]) == value.size, name
     assert ring.says == (["waits", "row"] if lockstep else ["row"]) * 2
+
+
+def test_a_plant_that_waits_for_its_rows_to_be_taken_hears_a_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[RingWriter] = []
+
+    class Small(RingWriter):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given, slots=64)
+            made.append(self)
+
+    def serve(*_: object, **__: object) -> Summary:
+        for _ in range(32):
+            made[0].commit()
+        made[0].wait_for_space(0.1)
+        return Summary(0, 0.0, 1.0, 0, 0, ())
+
+    monkeypatch.setattr(plant, "RingWriter", Small)
+    monkeypatch.setattr(plant, "serve", serve)
+    cell = load_cell(configs.CELLS_DIR / "paper.toml")
+    where, stop = (tmp_path / "plant.sock", tmp_path / "plant.ring"), [False]
+    asked: Any = lambda: stop[0]
+    run = partial(plant.run_plant, cell, *where, lockstep=True, lost_arm=LostArm.END_RUN, ready=print, stop=asked)
+    with pytest.raises(RowsUntaken):
+        run()
+    made.clear()
+    stop[0] = True
+    assert run().startswith("plant: 0 ticks")
