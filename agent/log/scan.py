@@ -195,7 +195,7 @@ class LogScan:
         held = length_by_content(opcode, lambda at, size: body[at : at + size])
         if held != length and opcode != Opcode.MESSAGE:  # a later MCAP may add fields at the end, and other records
             chunk_held = length_by_content(Opcode.CHUNK, lambda at, size: body[at : at + size])
-            if (held or 0) > length or chunk_held == length or not self._is_likely(end):
+            if chunk_held == length or not self._is_likely(end):
                 raise ValueError(f"a record of {length} bytes that says it is of {held}")
         if opcode == Opcode.CHUNK:
             yield from split(uncompressed(body))

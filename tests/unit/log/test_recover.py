@@ -214,13 +214,31 @@ def test_a_damaged_finished_log_is_mended_when_forced_and_stays_marked(tmp_path:
     assert log.metadata["recovery"]["damaged"] == "1"
 
 
-def test_what_was_zeroed_at_the_end_is_no_record_cut_and_is_kept(tmp_path: Path) -> None:
+@pytest.mark.parametrize("opcode", [9, 12])
+def test_an_attachment_or_a_text_of_which_the_length_alone_is_wrong_is_read(tmp_path: Path, opcode: int) -> None:
+    path = tmp_path / "run.mcap"
+    make_log(path)
+    whole = read_log(path)
+    data, at = bytearray(path.read_bytes()), len(scan.MAGIC)
+    while data[at] != opcode:
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    data[at + 2] ^= 0x40
+    path.write_bytes(data)
+    log = read_log(path)
+    assert (log.attachments, log.metadata) == (whole.attachments, whole.metadata)
+    assert len(log.problems) == 1
+    assert log.problems[0].endswith("; what it holds is whole")
+
+
+@pytest.mark.parametrize("tail", [bytes(4096), b"\xff" * 300])
+def test_what_was_never_a_record_at_the_end_is_no_record_cut_and_is_kept(tmp_path: Path, tail: bytes) -> None:
     path = tmp_path / "run.mcap"
     rows = make_log(path, finish=False)
     with path.open("ab") as file:
-        file.write(bytes(4096))
+        file.write(tail)
     done = recover(path)
     assert (done.damaged, done.original) == (True, tmp_path / "run.mcap.damaged")
+    assert [problem.partition(" ")[0] for problem in done.problems] == ["damaged", "the"], "and nothing whole in it"
     assert read_log(path).agents["left"].tobytes() == rows["left"].tobytes()
 
 
