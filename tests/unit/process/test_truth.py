@@ -90,7 +90,10 @@ def test_a_plant_that_waits_for_its_rows_to_be_taken_hears_a_stop(
     monkeypatch.setattr(plant, "serve", serve)
     cell = load_cell(configs.CELLS_DIR / "paper.toml")
     where, stop = (tmp_path / "plant.sock", tmp_path / "plant.ring"), [False]
-    asked: Any = lambda: stop[0]
+
+    def asked() -> bool:
+        return stop[0]
+
     run = partial(plant.run_plant, cell, *where, lockstep=True, lost_arm=LostArm.END_RUN, ready=print, stop=asked)
     with pytest.raises(RowsUntaken):
         run()
