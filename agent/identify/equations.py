@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from agent.control.models import ArmModel
 from agent.identify.columns import Base, all_columns, object_torque
@@ -82,6 +81,8 @@ def _fill(
     part.tau[:] = low_pass(recording.tau[near] - object_torque(recording.cell, model, columns), cutoff_hz, T)[chosen]
     for joint in range(model.n):
         part.columns[:, joint] = low_pass(columns[:, joint, base.kept], cutoff_hz, T)[chosen]
+    from scipy.ndimage import maximum_filter1d  # noqa: PLC0415 - as below
+
     reach = math.ceil(0.5 / cutoff_hz / T)  # a turn is felt this far away through the filter
     turning = maximum_filter1d((np.abs(dq) < options.slow_rad_per_s).astype(np.int8), 2 * reach + 1, axis=0) > 0
     part.used[:] = ~turning[chosen]

@@ -7,12 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rosbags.typesys import Stores, get_typestore
-from zenoh_ros2_sdk import ROS2Subscriber, get_topic_names_and_types
-
 from tests.support.ros.plain import plain
-
-STORE = get_typestore(Stores.ROS2_KILTED)
 
 
 @dataclass(frozen=True)
@@ -26,6 +21,10 @@ class Client:
 
 def listen(client: Client, stop: Callable[[], bool], ready: Callable[[Any], None]) -> list[tuple[str, object]]:
     """Subscribe to every topic there is; ready gets their names and types; the messages come back at the stop."""
+    from rosbags.typesys import Stores, get_typestore
+    from zenoh_ros2_sdk import ROS2Subscriber, get_topic_names_and_types  # who finds the tests needs neither
+
+    store = get_typestore(Stores.ROS2_KILTED)
     found: list[tuple[str, list[str]]] = []
     while len(found) < client.topics and not stop():
         found = get_topic_names_and_types(client.domain, "127.0.0.1", client.port, timeout=1.0)
@@ -35,8 +34,8 @@ def listen(client: Client, stop: Callable[[], bool], ready: Callable[[Any], None
         keep = lambda message, topic=topic: heard.append((topic, plain(message)))  # noqa: E731
         subscribers.append(
             ROS2Subscriber(
-                topic, ros_type, keep, msg_definition=STORE.generate_msgdef(ros_type)[0], domain_id=client.domain,
-                router_port=client.port, type_hash=STORE.hash_rihs01(ros_type),
+                topic, ros_type, keep, msg_definition=store.generate_msgdef(ros_type)[0], domain_id=client.domain,
+                router_port=client.port, type_hash=store.hash_rihs01(ros_type),
             )
         )  # fmt: skip
     ready(found)

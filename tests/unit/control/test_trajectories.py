@@ -11,7 +11,6 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.interpolate import make_interp_spline
 
 import configs
 from agent.config.cell import Cell, ConfigError, cell_from_toml, load_cell
@@ -131,6 +130,8 @@ def test_the_spline_passes_its_poses(seed: int) -> None:
 @pytest.mark.parametrize("unevenness", [0.0, 1.5])
 def test_the_spline_is_that_of_scipy(count: int, unevenness: float) -> None:
     """All coefficients, as parts of the values; times between neighbours differ up to thirty-fold."""
+    from scipy.interpolate import make_interp_spline  # half a second, of which every worker would have its own
+
     rng = np.random.default_rng(count)
     times = np.cumsum(10.0 ** rng.uniform(-unevenness, 0.0, count))
     values, still = rng.normal(size=(count, 7)), [(1, np.zeros(7)), (2, np.zeros(7))]

@@ -124,7 +124,7 @@ def test_several_arms_are_refused_because_their_forces_are_unknown() -> None:
         ({"complete": False}, "the recorder did not finish it"),
         ({"complete": False, "problems": ("the file ends in the middle of a chunk",)}, "middle of a chunk"),
         ({"gaps": {"arm": ((10, 19), (30, 30))}}, "found 11 rows missing"),
-        ({"agents": {"other": rows_of()}}, "expected a complete log"),
+        ({"agents": {"other": np.zeros(4000, AGENT_STATE.dtype)}}, "expected a complete log"),
     ],
 )
 def test_incomplete_logs_are_refused(changes: dict[str, Any], expected: str) -> None:
