@@ -44,7 +44,7 @@ test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each 
 long: $(VENV)/.installed  ## simulations and repetitions of which `make test` runs some (7 min, and 12 of one core for lost packets)
 	$(BIN)/pytest -m "long and not realtime" -n $(JOBS) --dist worksteal
 	$(BIN)/pytest -m "long and realtime" tests/process
-	HYPOTHESIS_PROFILE=whole $(BIN)/pytest -n $(JOBS) --dist worksteal tests/property/control tests/unit/control
+	HYPOTHESIS_PROFILE=whole $(BIN)/pytest -m hypothesis -n $(JOBS) --dist worksteal tests/property tests/unit
 
 mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules, MUTATE_DONE=FILE goes on where it stopped
 	$(BIN)/python -m tests.mutate

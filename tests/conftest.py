@@ -27,11 +27,14 @@ pytest.register_assert_rewrite("tests.support.driver_contract")
 # The same examples in every run, so that a red run means a change; HYPOTHESIS_PROFILE=explore looks for new ones.
 # Hypothesis would also draw numbers and texts out of the modules that are loaded: by what has run before in a worker.
 providers._get_local_constants = lambda: providers._local_constants
-settings.register_profile("repeatable", derandomize=True, deadline=None)
+# Half of what hypothesis would take in `make test`, all of it in `make long`.
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)
 settings.register_profile("explore", derandomize=False, deadline=None)
 # `make mutate` asks whether a test fails, not for the smallest example of it
-settings.register_profile("mutate", derandomize=True, deadline=None, phases=(Phase.explicit, Phase.generate))
-# `make fuzz`: what is marked so, thirty times as many
+settings.register_profile(
+    "mutate", derandomize=True, deadline=None, max_examples=50, phases=(Phase.explicit, Phase.generate)
+)
+# `make fuzz`: what is marked so, sixty times as many
 settings.register_profile("long", derandomize=True, deadline=None, max_examples=3000)
 # `make long`: all of the examples that a test names
 settings.register_profile("whole", derandomize=True, deadline=None, max_examples=101)

@@ -38,7 +38,7 @@ from tests.support.telemetry.run_log import flipped, write_run
 
 CELL = load_cell(configs.CELLS_DIR / "identify_wx200.toml", ["duration_s=0.3", "report.transient_s=0.1"])
 ARM = CELL.arms[0].name
-EXAMPLES = settings(max_examples=settings().max_examples // 2)  # 50, and 1500 in the long profile
+EXAMPLES = settings(max_examples=settings().max_examples // 2)  # 25, 50 in `make long`, 1500 in `make fuzz`
 
 
 @cache
