@@ -13,6 +13,7 @@ import pytest
 import configs
 from tests.support.command import coop as line
 from tests.support.coop import PAPER, TIMEOUT_S
+from tests.support.few import long
 
 COOP = [sys.executable, "-m", "agent.cli"]
 SHORT = ("run", str(configs.CELLS_DIR / "paper.toml"), "--duration", "1")  # ends within the transient
@@ -59,7 +60,7 @@ def test_a_folder_is_used_again_only_when_asked(first_run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "code"), [(("check",), 0), (("status",), 1), (("status", "--watch"), 0), (("guide",), 0)]
+    ("words", "code"), [long((("check",), 0)), (("status",), 1), (("status", "--watch"), 0), long((("guide",), 0))]
 )
 def test_a_command_whose_output_nobody_reads_ends_with_its_own_code(words: tuple[str, ...], code: int) -> None:
     """As behind `| head -1`; what would go on for ever ends."""

@@ -20,6 +20,7 @@ from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
 from agent.process import recorder
 from tests.support.coop import PAPER, TIMEOUT_S, ready, start
+from tests.support.few import long
 from tests.support.terminal import CTRL_Z, Terminal
 
 ARMS = ("left", "right")
@@ -37,8 +38,8 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         (("plant", PAPER, "--real-time"), 0),
         (("guard", PAPER, "--arm", "left", "--driver", "sim"), 0),
-        (("emulate", configs.CELLS_DIR / "two_wx200.toml", "--ports", "ports"), 0),
-        (("telemetry", PAPER, "--member", "left"), 0),
+        long((("emulate", configs.CELLS_DIR / "two_wx200.toml", "--ports", "ports"), 0)),
+        long((("telemetry", PAPER, "--member", "left"), 0)),
         (("record", PAPER, "--listen", "tcp/127.0.0.1:0"), 1),  # of which no row came
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

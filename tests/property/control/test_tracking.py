@@ -9,6 +9,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
+from tests.support.few import long
 from tests.support.plant.inprocess import History, simulate
 
 TRANSIENT_S = 2.5  # every cell is settled by then
@@ -31,10 +32,10 @@ def _run(name: str, overrides: tuple[str, ...], duration_s: float) -> History:
 @pytest.mark.parametrize(
     ("cell", "overrides", "bound_m", "bound_rad", "duration_s"),
     [
-        ("paper_ideal", (), 0.3e-3, 0.5e-3, HALF_S),
+        long(("paper_ideal", (), 0.3e-3, 0.5e-3, HALF_S)),
         ("paper", (), 1e-3, 2e-3, DURATION_S),
         ("paper", SERVOS, 1e-3, 2e-3, HALF_S),
-        ("paper", WITHOUT, 4e-3, np.inf, HALF_S),
+        long(("paper", WITHOUT, 4e-3, np.inf, HALF_S)),
         pytest.param("paper_ideal", (), 0.3e-3, 0.5e-3, DURATION_S, marks=pytest.mark.long),
         pytest.param("paper", SERVOS, 1e-3, 2e-3, DURATION_S, marks=pytest.mark.long),
         pytest.param("paper", WITHOUT, 4e-3, np.inf, DURATION_S, marks=pytest.mark.long),

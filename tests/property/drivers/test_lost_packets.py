@@ -40,6 +40,7 @@ import pytest
 
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import Instruction
+from tests.support.few import long
 from tests.support.servos.lossy_line import Loss, What
 from tests.support.servos.lost_packets import PHASES, healthy, losses, losses_of_two, told, told_of_two
 
@@ -73,17 +74,17 @@ def test_no_single_packet_leaves_an_arm_as_it_must_not_be(phase: str, what: What
 
 SOME = [
     ("used servos", What.MISSED, CURRENT, 1, 3),
-    ("used servos", What.LOST, TORQUE, 0, None),
+    long(("used servos", What.LOST, TORQUE, 0, None)),
     ("used servos", What.ALONE, TORQUE, 0, None),
     ("torque off", What.MISSED, TORQUE, 1, 3),
     ("stuck host", What.ALONE, WATCHDOG, 0, None),
-    ("unplugged shadow", What.LOST, WATCHDOG, -1, None),
+    long(("unplugged shadow", What.LOST, WATCHDOG, -1, None)),
     ("unplugged shadow", What.MISSED, WATCHDOG, -1, 5),
-    ("unplugged shadow", What.MISSED, CURRENT, -9, 4),
+    long(("unplugged shadow", What.MISSED, CURRENT, -9, 4)),
     ("guard, amid arming", What.LOST, CURRENT, 0, None),
     ("first cycles", What.LAST, CURRENT, 4, None),
-    ("first cycles", What.LOST, CURRENT, 4, None),
-    ("first cycles", What.LOST, POSITION, 0, None),
+    long(("first cycles", What.LOST, CURRENT, 4, None)),
+    long(("first cycles", What.LOST, POSITION, 0, None)),
 ]
 
 

@@ -31,7 +31,7 @@ from tests.support.servos.wire_bench import Bench, answers, build, word, xl430, 
 TRICKY = st.sampled_from([0xFF, 0xFF, 0xFF, 0xFD, 0xFD, 0x00, 0x01, 0x55])
 BYTES = st.lists(st.one_of(TRICKY, st.integers(0, 255)), max_size=60).map(bytes)
 IDS = st.integers(0, 252)
-PACKETS = pytest.mark.parametrize("packets", [20_000, pytest.param(100_000, marks=pytest.mark.long)])
+PACKETS = pytest.mark.parametrize("packets", [8_000, pytest.param(100_000, marks=pytest.mark.long)])
 
 
 @given(BYTES)

@@ -40,9 +40,9 @@ def test_jacobian_is_the_derivative_of_what_each_arm_sees(cell: str) -> None:
 @pytest.mark.parametrize(
     ("cell", "noise_rad", "bound_m", "bound_rad", "seeds"),
     [
-        (SPATIAL, 2e-3, 1.2e-3, 3e-3, SEEDS[:3]), (PLANAR, 0.0, 0.5e-3, 1e-3, SEEDS[:3]),
-        pytest.param(SPATIAL, 2e-3, 1.2e-3, 3e-3, SEEDS[3:], marks=pytest.mark.long),
-        pytest.param(PLANAR, 0.0, 0.5e-3, 1e-3, SEEDS[3:], marks=pytest.mark.long),
+        (SPATIAL, 2e-3, 1.2e-3, 3e-3, SEEDS[:1]), (PLANAR, 0.0, 0.5e-3, 1e-3, SEEDS[:1]),
+        pytest.param(SPATIAL, 2e-3, 1.2e-3, 3e-3, SEEDS[1:], marks=pytest.mark.long),
+        pytest.param(PLANAR, 0.0, 0.5e-3, 1e-3, SEEDS[1:], marks=pytest.mark.long),
         pytest.param(SPATIAL, 0.0, 0.5e-3, 1e-3, SEEDS, marks=pytest.mark.long),
         pytest.param(PLANAR, 2e-3, 1.2e-3, 3e-3, SEEDS, marks=pytest.mark.long),
     ],
@@ -60,8 +60,8 @@ def test_disagreement_of_held_out_poses_falls_below_the_bounds(
 @pytest.mark.parametrize(
     ("cell", "noise_rad"),
     [
-        (SPATIAL, 2e-3), pytest.param(PLANAR, 0.0, marks=pytest.mark.long),
-        pytest.param(SPATIAL, 0.0, marks=pytest.mark.long), pytest.param(PLANAR, 2e-3, marks=pytest.mark.long),
+        (PLANAR, 2e-3), pytest.param(PLANAR, 0.0, marks=pytest.mark.long),
+        pytest.param(SPATIAL, 0.0, marks=pytest.mark.long), pytest.param(SPATIAL, 2e-3, marks=pytest.mark.long),
     ],
 )  # fmt: skip
 def test_truth_lies_within_three_standard_errors(cell: str, noise_rad: float) -> None:

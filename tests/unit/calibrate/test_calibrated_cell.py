@@ -22,6 +22,7 @@ from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.servo.counts import TICK_RAD
 from sim_backend.physics.plant import Observation
 from tests.support.calibrate_rig import UNSURE, rig
+from tests.support.few import long
 from tests.support.full_disk import full_for
 from tests.support.plant.inprocess import simulate
 from tests.support.telemetry.run_log import write_run
@@ -103,7 +104,7 @@ def test_nothing_is_overwritten_and_nothing_written_beside_it(tmp_path: Path) ->
     assert there.read_text() == "mine"
 
 
-@pytest.mark.parametrize("name", [".png", "_left.toml", "_right.toml", ".json", "_calibrated.toml"])
+@pytest.mark.parametrize("name", [".png", *map(long, ("_left.toml", "_right.toml", ".json")), "_calibrated.toml"])
 def test_a_disk_that_is_full_is_told_with_the_file_and_the_next_attempt_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

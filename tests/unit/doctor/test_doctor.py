@@ -32,6 +32,7 @@ from drivers.dynamixel.servo.table import (
 from drivers.interface import DriverError
 from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.timing import BusTiming, UsbTiming
+from tests.support.few import long
 from tests.support.servos.dxl_rig import WX200, XL, Rig, at, build
 from tests.support.servos.tool_rig import examined, lines
 
@@ -305,7 +306,12 @@ def test_a_port_that_vanishes_is_a_finding_and_no_crash() -> None:
 @pytest.mark.parametrize("firmware", [44, 46])
 @pytest.mark.parametrize(
     ("baud", "rate_hz"),
-    [pytest.param(57_600, 15.0, marks=pytest.mark.long), (1_000_000, 150.0), (3_000_000, 250.0), (4_000_000, 100.0)],
+    [
+        pytest.param(57_600, 15.0, marks=pytest.mark.long),
+        (1_000_000, 150.0),
+        long((3_000_000, 250.0)),
+        (4_000_000, 100.0),
+    ],
 )
 def test_computed_and_measured_read_agree_within_15_percent(
     baud: int, rate_hz: float, firmware: int, usb_ms: int
@@ -323,7 +329,9 @@ def test_computed_and_measured_read_agree_within_15_percent(
 
 
 @pytest.mark.parametrize(
-    ("firmware", "what"), [(44, "read of all servos, measured"), (46, "overhead of each read")], ids=["plain", "fast"]
+    ("firmware", "what"),
+    [long((44, "read of all servos, measured")), (46, "overhead of each read")],
+    ids=["plain", "fast"],
 )
 def test_servos_that_answer_slower_than_computed_are_noticed(firmware: int, what: str) -> None:
     """Where each servo sends its own packet the budget is wrong; where they share one, each read has more overhead."""

@@ -65,7 +65,7 @@ def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: flo
         ("two_wx200", (), "[0.0, 0.0, 9.81]", -1.0),
         pytest.param("two_wx200", LEVEL, "[0.0, 0.0, 9.81]", -2.0, marks=LONG),
         pytest.param("two_wx200", (), "[9.81, 0.0, 0.0]", -2.0, marks=LONG),
-        ("paper_adaptive", (), "[0.0, 9.81, 0.0]", -2.0),
+        pytest.param("paper_adaptive", (), "[0.0, 9.81, 0.0]", -2.0, marks=LONG),
     ],
     ids=["up", "up, level", "sideways", "up, learning"],
 )

@@ -13,7 +13,7 @@ from agent.verify.finding import Verdict
 from tests.support.few import few
 
 SIMULATED = {"paper", "paper_ideal"}  # the paper's gains: README and their own first lines say so
-QUICK = {"identify_mk2", "identify_wx200", "identify_wx250s", "paper_real", "two_wx200"}
+QUICK = {"identify_wx200", "paper_real", "two_wx200"}
 
 
 @pytest.mark.parametrize(

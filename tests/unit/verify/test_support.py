@@ -45,7 +45,7 @@ def two_of_three() -> Cell:
         pytest.param("paper", 1, 0.5, marks=pytest.mark.long),
         ("two_wx200", 1, 5.0),
         pytest.param("level", 0, 5.0, marks=pytest.mark.long),
-        ("level", 1, 5.0),
+        pytest.param("level", 1, 5.0, marks=pytest.mark.long),
         ("two_models", 1, 0.5),
     ],
 )

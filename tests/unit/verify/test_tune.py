@@ -171,7 +171,7 @@ def test_a_proposal_keeps_the_margin(proposed: Callable[[Form], Proposal], form:
 
 @pytest.mark.parametrize(
     ("velocity", "form"),
-    [("observer", Form.RATIO), ("servo", Form.RATE), pytest.param("servo", Form.RATIO, marks=LONG)],
+    [("observer", Form.RATIO), *(pytest.param("servo", form, marks=LONG) for form in (Form.RATE, Form.RATIO))],
 )
 def test_a_proposal_is_the_largest(velocity: str, form: Form) -> None:
     margin = Margin(damping=0.1)
