@@ -17,6 +17,7 @@ from agent.pki.make import Wish, make, renew
 from agent.telemetry.link.publication import Pace
 from agent.telemetry.link.session import Network, NetworkError, has_link, open_session
 from agent.telemetry.link.wire import BatchHeader
+from tests.support.few import long
 from tests.support.ports import free_port
 from tests.support.telemetry.telemetry_cell import ARMS, CELL, make_rows, recorder, sent_by, telemetry, writer
 
@@ -165,10 +166,10 @@ def no_authority(cell: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "found"),
     [
-        (no_key, "keys/left.pem: No such file or directory"),
+        long((no_key, "keys/left.pem: No such file or directory")),
         (key_of_right, "keys/left.pem: .*KEY_VALUES_MISMATCH"),
         (half_a_certificate, "zenoh/left.pem and "),
-        (no_authority, "ca.pem: "),
+        long((no_authority, "ca.pem: ")),
     ],
 )
 def test_an_arms_files_that_cannot_be_used_are_named_before_it_dials(

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from agent.log.columns import BLOCK_ROWS, ColumnFile, ColumnFileError, StoredRows, Table
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE, Layout
+from tests.support.few import long
 
 layouts = pytest.mark.parametrize("layout", [AGENT_STATE, PLANT_STATE], ids=lambda layout: layout.ros_name)
 
@@ -55,7 +56,9 @@ def same(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 @layouts
-@pytest.mark.parametrize("count", [0, 1, 2, BLOCK_ROWS - 1, BLOCK_ROWS, BLOCK_ROWS + 1, 2 * BLOCK_ROWS + 100])
+@pytest.mark.parametrize(
+    "count", [0, 1, *map(long, (2, BLOCK_ROWS - 1, BLOCK_ROWS)), BLOCK_ROWS + 1, long(2 * BLOCK_ROWS + 100)]
+)
 def test_every_column_is_that_of_the_rows_to_the_last_bit(layout: Layout, count: int) -> None:
     rows = some_rows(layout, count, count)
     with stored(rows, pieces=7) as table:

@@ -17,6 +17,7 @@ from agent.process.simulated import plant_spec
 from agent.safety import Flag
 from agent.verify.check import examine, start_configurations
 from drivers.interface import JointState
+from tests.support.few import long
 from tests.support.plant.plant_arm import ArmRun, run_loop, run_one
 from tests.support.plant.served_plant import ServedPlant
 
@@ -119,7 +120,7 @@ def test_the_hold_replays_from_any_of_its_rows(run: ArmRun) -> None:
         assert int(again.flags) == row["flags"]
 
 
-@pytest.mark.parametrize("override", ['controller.velocity="servo"', 'controller.kind="adaptive"'])
+@pytest.mark.parametrize("override", ['controller.velocity="servo"', long('controller.kind="adaptive"')])
 def test_other_velocities_and_the_other_law_hold_too(override: str) -> None:
     run = run_one(towards(0.45, 0.5, 3.0, override), 6.0)
     assert run.modes == [Mode.HOLD]

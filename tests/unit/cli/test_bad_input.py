@@ -244,7 +244,8 @@ def test_a_file_that_is_none_is_one_line(folder: Path, case: str, bad: str) -> N
     assert (folder / "a_file").read_text() == "something of mine\n"
 
 
-PROCESSES = ("record --out nowhere", "record --listen")  # another of a recorder is in `make test`
+# another of a recorder, and of emulated servos, is in `make test`
+PROCESSES = ("record --out nowhere", "record --listen", "emulate --control", "emulate --ports with files")
 
 
 @pytest.mark.parametrize("case", few(OTHERS, lambda case: case not in PROCESSES))

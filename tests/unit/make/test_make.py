@@ -34,6 +34,7 @@ from agent.verify import stiffest
 from agent.verify.check import examine
 from agent.verify.finding import Verdict
 from agent.verify.tune import Tuner
+from tests.support.few import long
 from tests.support.plant.inprocess import simulate
 
 CARRY = MotionWish(MotionKind.CARRY, (0.03, 0.02, 0.03), 2.0)
@@ -112,7 +113,7 @@ def test_what_gains_cannot_mend_is_said_before_they_are_searched(monkeypatch: py
         (wish(["wx250s base=1.5,0,0,0"], 0.1, (0.2, 0.03, 0.03), height=0.2), "left: the grasp is out of"),
         (wish(["wx200 base=-0.36,0,0,0"], 0.1, (0.2, 0.03, 0.03), UP, 0.2), "out of reach along"),
         (wish(["wx250s"] * 2, 0.1, (0.2, 0.03, 0.03), height=0.012), "distance"),
-        (wish(["wx250s face=-x", "wx250s face=-x name=b"], 0.1, (0.2, 0.1, 0.03), height=0.2), "distance of the arms"),
+        long((wish(["wx250s face=-x", "wx250s face=-x name=b"], 0.1, (0.2, 0.1, 0.03), height=0.2), "distance of the")),
         (wish(["wx200"] * 3, 0.1, (0.2, 0.1, 0.03)), "at most two, at -x and "),
         (wish(["wx200", "wx200 face=+y"], 0.1, (0.2, 0.1, 0.03)), "move in the plane of x and z"),
         (wish(["wx200"] * 2, 0.1, (0.2, 0.1, 0.03), MotionWish(MotionKind.LIFT, (0, 0.1, 0))), "x and z alone"),

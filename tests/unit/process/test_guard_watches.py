@@ -25,6 +25,7 @@ from agent.process.schedule import AgentOptions, guard_vigil
 from agent.process.successor import GuardOptions
 from agent.process.tellers import opened
 from agent.telemetry.ring.writer import RingWriter
+from tests.support.few import long
 
 MS = 1_000_000
 LOOK_MS = 2
@@ -116,7 +117,7 @@ def test_a_guard_waits_longer_for_the_first_row_than_for_the_next(
     assert waited_ms == expected_ms
 
 
-@pytest.mark.parametrize("for_s", ["soon", None, [], float("inf"), float("nan"), 10**400])
+@pytest.mark.parametrize("for_s", ["soon", *map(long, (None, [], float("inf"))), float("nan"), 10**400])
 def test_a_moment_that_is_none_is_refused_and_ends_no_guard(
     tmp_path: Path, port: str, agent: subprocess.Popen[bytes], clock: Clock, for_s: object
 ) -> None:

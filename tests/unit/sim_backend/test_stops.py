@@ -17,6 +17,7 @@ from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.lone import LoneArm
 from sim_backend.physics.spec import PlantSpec
 from sim_backend.physics.stops import BEFORE_RAD, EndStops
+from tests.support.few import long
 from tests.support.plant.plant_cells import planar_cell, spatial_cell
 from tests.support.starts import start_joints
 
@@ -98,7 +99,7 @@ def test_before_its_stops_an_arm_moves_as_one_without_stops_bit_for_bit() -> Non
     np.testing.assert_array_equal(one.dq, other.dq)
 
 
-@pytest.mark.parametrize("name", ["two_wx200", "three_wx250s"])
+@pytest.mark.parametrize("name", ["two_wx200", long("three_wx250s")])
 def test_an_arm_that_fell_without_torque_can_be_started_again(name: str) -> None:
     cell = load_cell(Path(name))
     for start in ([0.0, 0.0, 0.0], [0.3, -0.4, 0.2]):
