@@ -207,6 +207,12 @@ class LogFile:
         os.close(self._fd)
 
 
+def require_no_log(path: Path) -> None:
+    """See that nothing has the name of a log that is to be made, before work is done for it.  Raises LogInTheWay."""
+    if os.path.lexists(path):
+        raise _in_the_way(path)
+
+
 def remove_log(path: Path) -> None:
     """Remove a log that may be there.  Raises LogFileError, LogInTheWay where a recorder writes it or one mends it."""
     if not os.path.lexists(path):
@@ -237,14 +243,18 @@ def _create(path: Path, min_free_bytes: int) -> int:
             )
         return create_written(path)
     except FileExistsError as error:
-        raise LogInTheWay(
-            f"{path} exists already",
-            found="a file" if _is_free(path) else "a log that another recorder is writing",
-            expected="no file",
-            remedy="give another name; a log is never overwritten",
-        ) from error
+        raise _in_the_way(path) from error
     except OSError as error:
         raise _cannot_write(path, error) from error
+
+
+def _in_the_way(path: Path) -> LogInTheWay:
+    return LogInTheWay(
+        f"{path} exists already",
+        found="a file" if _is_free(path) else "a log that another recorder is writing",
+        expected="no file",
+        remedy="give another name; a log is never overwritten",
+    )
 
 
 def _is_free(path: Path) -> bool:

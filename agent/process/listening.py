@@ -71,6 +71,7 @@ def record(command: RecordCommand, listener: Listener) -> int:
     from agent.atomic import make_folder
     from agent.config.files import load_files
     from agent.host.paths import log_path
+    from agent.log.file import require_no_log
     from agent.log.parts import Limits
     from agent.process.recorder import described, run_recorder
     from agent.telemetry.link.session import Network
@@ -81,6 +82,8 @@ def record(command: RecordCommand, listener: Listener) -> int:
     known = None if command.run_info is None else command.run_info.read_bytes()
     if command.out is None:
         make_folder(command.out_dir)
+    else:
+        require_no_log(command.out)
     report = run_recorder(
         files,
         command.out if command.out is not None else log_path(command.out_dir, files.file.name),

@@ -403,6 +403,7 @@ def test_a_link_to_nothing_in_the_folder_of_a_run_is_no_free_name(tmp_path: Path
 def test_a_recorder_keeps_a_log_that_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = write_mine(tmp_path / "run.mcap")
+    monkeypatch.setattr("agent.process.recorder.described", None)  # half a second's work, for nothing
     done = coop("record", PAPER, "--out", path, "--listen", "tcp/127.0.0.1:0")
     assert done.code == 2
     assert "a log is never overwritten" in done.err
