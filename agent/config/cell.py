@@ -44,6 +44,11 @@ class Arm(ArmFiles):
         """Grasp pose: end effector in the object frame."""
         return placement(self.entry.p_object_ee_m, self.entry.quat_object_ee)
 
+    @property
+    def rest_rad(self) -> dict[str, float]:
+        """How joints lie while the arm rests, those of which cell or arm file says it."""
+        return {**self.file.sleep_rad, **self.entry.rest_rad}
+
 
 @dataclass(frozen=True)
 class Cell(CellFiles):

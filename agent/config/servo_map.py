@@ -16,9 +16,11 @@ GRIPPER = "gripper"
 
 
 def arm_map(cell: Cell, arm: Arm, port: str, q_start: Vector) -> ArmMap:
-    """Servo map of the arm on `port`, expected at q_start (n,).  Raises MapError."""
+    """Servo map of the arm on `port`, expected at q_start (n,): its rest, or a start.  Raises MapError."""
     start = {**arm.entry.locked_rad, **dict(zip(arm.entry.controlled, q_start.tolist(), strict=True))}
-    joints = [_joint(cell, arm, joint, start.get(joint.name)) for joint in drivable(arm.file)]
+    at_rest = all(arm.rest_rad.get(joint) == start[joint] for joint in arm.entry.controlled)
+    mapped = [_joint(cell, arm, joint, start.get(joint.name)) for joint in drivable(arm.file)]
+    joints = [replace(joint, at_rest=at_rest) for joint in mapped]
     gripper = gripper_map(arm.file)
     if gripper is not None:
         joints.append(gripper)

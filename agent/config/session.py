@@ -33,7 +33,7 @@ DECIMALS = 6  # of joint angles on the way, so that hosts agree on them bit for 
 
 def rest_joints(arm: Arm) -> Vector:
     """(n,) rad of the controlled joints at rest.  Raises ConfigError where neither cell nor arm file says it."""
-    rest = {**arm.file.sleep_rad, **arm.entry.rest_rad}
+    rest = arm.rest_rad
     missing = [joint for joint in arm.entry.controlled if joint not in rest]
     if missing:
         raise ConfigError(

@@ -13,6 +13,7 @@ import numpy as np
 
 from agent.config.cell import Arm, Cell
 from agent.config.servo_map import arm_map
+from agent.config.session import rest_joints
 from agent.doctor import cycle, host, servos
 from agent.doctor.certificates import FOLDER, certificates
 from agent.doctor.cycle import CycleFigures
@@ -112,7 +113,7 @@ def _examine_arm(cell: Cell, arm: Arm, q_start: Vector | None, ports: Path | Non
         return
     q = q_start if q_start is not None else np.array(arm.entry.q_near_rad)
     try:
-        found_map = arm_map(cell, arm, path, q)
+        found_map, started = maps_of(cell, arm, path, q)
     except DriverError as error:
         out.findings.append(from_refusal(error, arm.name))
         return
@@ -120,7 +121,17 @@ def _examine_arm(cell: Cell, arm: Arm, q_start: Vector | None, ports: Path | Non
     out.findings += found
     if all(f.verdict is not Verdict.REFUSED for f in found):
         clock = MonotonicClock()
-        examine_line(found_map, SerialPort(path, found_map.baud, clock), clock, out)
+        examine_line(found_map, SerialPort(path, found_map.baud, clock), clock, out, started)
+
+
+def maps_of(cell: Cell, arm: Arm, path: str, q_start: Vector) -> tuple[ArmMap, ArmMap]:
+    """The arm as its first start expects it, at rest where the cell has a session, and as one at q_start (n,) does.
+
+    Raises MapError.  Where nothing says how an arm of a session rests, `coop check` refuses the cell.
+    """
+    started = arm_map(cell, arm, path, q_start)
+    rests = cell.file.session is not None and arm.rest_rad.keys() >= set(arm.entry.controlled)
+    return arm_map(cell, arm, path, rest_joints(arm)) if rests else started, started
 
 
 def port_path(arm: Arm, ports: Path | None) -> str | None:
@@ -150,25 +161,28 @@ def move_arm(cell: Cell, options: DoctorOptions, ask: Callable[[str], bool], out
     out.findings += first_motion(cell, arm, driver, clock, ask)
 
 
-def examine_line(arm: ArmMap, port: Port, clock: Clock, out: Diagnosis) -> None:
-    """Open the port of an arm and look at everything behind it; the port is closed at the end."""
+def examine_line(arm: ArmMap, port: Port, clock: Clock, out: Diagnosis, started: ArmMap | None = None) -> None:
+    """Open the port of an arm and look at everything behind it; the port is closed at the end.
+
+    started: the arm where a start without its session expects it.
+    """
     before_ms = port.latency_timer_ms
     try:
         port.open()
         out.findings.append(latency_timer(before_ms, port.latency_timer_ms, arm.arm))
         bus = Bus(port, clock, DxlCounters())
         refuse_noise(bus, arm.port, clock)
-        _examine_servos(arm, bus, clock, out)
+        _examine_servos(arm, bus, clock, out, started)
     except DriverError as error:
         out.findings.append(from_refusal(error, arm.arm))
     finally:
         port.close()
 
 
-def _examine_servos(arm: ArmMap, bus: Bus, clock: Clock, out: Diagnosis) -> None:
+def _examine_servos(arm: ArmMap, bus: Bus, clock: Clock, out: Diagnosis, started: ArmMap | None) -> None:
     present, found = servos.look(bus, arm)
     out.findings += present
-    out.findings += servos.judge(arm, found)
+    out.findings += servos.judge(arm, found, started)
     if len(found) < len(arm.slots):
         remedy = "put right what is above, then run the doctor again"
         what, wanted = "cycle time", f"measured with all {len(arm.slots)} servos"

@@ -38,7 +38,8 @@ DIRECTIONS: Final = (("forward", "backward"), ("to the left", "to the right"), (
 REACH_M: Final = 0.05  # less does not show
 CLEAR_RAD: Final = 0.1  # of end stops
 AT_REST: Final = (
-    "Does the arm lie in its rest pose (sleep_rad of its arm file), and is nobody's hand between its links?"
+    "Does the arm lie in its rest pose (rest_rad of the cell, else sleep_rad of its arm file), and is nobody's hand "
+    "between its links?"
 )
 LIFTED: Final = (
     "Now hold the arm so that every joint can turn a little both ways and none would sink. Each will move by about "
@@ -110,13 +111,13 @@ def _seen(gripper: Vector) -> str | None:
 
 
 def judge_rest(arm: str, rest: Mapping[str, float], q: Mapping[str, float]) -> list[Finding]:
-    """Where an arm in its rest pose says it is, joint by joint, against its arm file; no torque is needed."""
+    """Where an arm in its rest pose says it is, joint by joint, against its files; no torque is needed."""
     found = []
     for name, angle in q.items():
         if name not in rest:
             continue
         wanted, what = rest[name], f"joint {name}: rest pose"
-        said, expected = f"{angle:.2f} rad", f"{wanted:.2f} ± {REST_RAD:g} rad (sleep_rad)"
+        said, expected = f"{angle:.2f} rad", f"{wanted:.2f} ± {REST_RAD:g} rad"
         if abs(_turn(angle - wanted)) <= REST_RAD:
             found.append(Finding(what, arm, said, expected))
         elif abs(wanted) > TELLING_RAD and abs(_turn(angle + wanted)) <= REST_RAD:
@@ -266,7 +267,7 @@ def first_motion(cell: Cell, arm: Arm, driver: Driver, clock: Clock, ask: Ask) -
         if not ask(AT_REST):
             return [_not_tried(arm.name)]
         q = _read(driver).q
-        found = judge_rest(arm.name, arm.file.sleep_rad, dict(zip(arm.entry.controlled, q.tolist(), strict=True)))
+        found = judge_rest(arm.name, arm.rest_rad, dict(zip(arm.entry.controlled, q.tolist(), strict=True)))
         if any(f.verdict is Verdict.REFUSED for f in found):
             return found
         if not ask(LIFTED):

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from agent.motors.find import listen_s
 from agent.verify.finding import Finding, Verdict, from_refusal
@@ -49,17 +49,43 @@ def look(bus: Bus, arm: ArmMap) -> tuple[list[Finding], Servos]:
     return findings, line.servos
 
 
-def judge(arm: ArmMap, servos: Servos) -> list[Finding]:
-    """All findings about the servos themselves; a section without any is one line that says how they are."""
+def judge(arm: ArmMap, servos: Servos, started: ArmMap | None = None) -> list[Finding]:
+    """All findings about the servos themselves; a section without any is one line that says how they are.
+
+    started: the same arm as a start without its session expects it, a pose that will do as well.
+    """
     if not servos:
         return []
     misfits = [misfit for servo in servos for misfit in rules.judge(servo)]
+    if started is not None and any(misfit.rule is rules.REST for misfit in misfits):
+        elsewhere = _expected_by(started, servos)
+        if all(rules.broken(rules.POSE, servo) is None for servo in elsewhere):
+            return judge(started, elsewhere)
+        misfits = [_naming(started, misfit) for misfit in misfits]
     findings = []
+    unasked = rules.POSE if any(servo.slot.joint.at_rest for servo in servos) else rules.REST
     for section in SECTIONS:
+        if unasked in section.rules:
+            continue
         wrong = _findings(arm, [m for m in misfits if m.rule in section.rules])
         fine = Finding(section.title, arm.arm, section.found(servos), section.wanted(servos))
         findings += wrong or [fine]
     return findings
+
+
+def _expected_by(arm: ArmMap, servos: Servos) -> Servos:
+    slots = {slot.servo_id: slot for slot in arm.slots}
+    return [replace(servo, slot=slots[servo.slot.servo_id]) for servo in servos]
+
+
+def _naming(started: ArmMap, misfit: Misfit) -> Misfit:
+    """Where the joint is not at its rest, with the other place at which it may be."""
+    if misfit.rule is not rules.REST:
+        return misfit
+    joint = next(joint for joint in started.joints if joint.name == misfit.slot.joint.name)
+    low, high = rules.pose_range_rad(joint)
+    remedy = f"{misfit.said.remedy}, or, where that is without --whole, to {low:.3f} to {high:.3f} rad, the start pose"
+    return replace(misfit, said=misfit.said._replace(remedy=remedy))
 
 
 def _findings(arm: ArmMap, misfits: Sequence[Misfit]) -> list[Finding]:
@@ -144,4 +170,5 @@ SECTIONS = (
         _eeprom, _text("the arm file's directions, shadows and limits"),
     ),
     Section("start pose", (rules.POSE,), _pose, _text("the cell's start pose")),
+    Section("rest pose", (rules.REST,), _pose, _text("the cell's rest pose")),
 )  # fmt: skip

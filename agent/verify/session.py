@@ -67,7 +67,7 @@ def _along(cell: Cell, arm: Arm, life: Life) -> list[Finding]:
 def _locked(arm: Arm) -> list[Finding]:
     """Joints that nobody moves must rest where they are locked."""
     rest_joints(arm)
-    rest = {**arm.file.sleep_rad, **arm.entry.rest_rad}
+    rest = arm.rest_rad
     off = {joint: abs(rest[joint] - angle) for joint, angle in arm.entry.locked_rad.items() if joint in rest}
     return [
         judged(

@@ -17,7 +17,7 @@ from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.monitor import Page, status_bytes
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, OperatingMode
 from drivers.dynamixel.servo.found import ServoFound
-from drivers.dynamixel.servo.judge import POSE, TORQUE, broken
+from drivers.dynamixel.servo.judge import POSE, REST, TORQUE, broken
 from drivers.dynamixel.servo.table import (
     BUS_WATCHDOG,
     GOAL_CURRENT,
@@ -125,9 +125,10 @@ class BringUp:
         return here
 
     def check_pose(self) -> None:
-        """Every joint within its limits and near its start.  Raises PoseError."""
+        """Every joint within its limits and near its start, or its rest.  Raises PoseError."""
         for servo in self._commanded:
-            misfit = broken(POSE, self._again(servo, PRESENT_POSITION))
+            now = self._again(servo, PRESENT_POSITION)
+            misfit = broken(POSE, now) or broken(REST, now)
             if misfit is not None:
                 raise PoseError.of(misfit)
 

@@ -146,17 +146,31 @@ def _torque(servo: ServoFound) -> Said | None:
 
 
 def _pose(servo: ServoFound) -> Said | None:
-    joint, scale = servo.slot.joint, AngleScale(servo.slot.joint)
+    joint = servo.slot.joint
     if servo.slot.shadow or joint.role is JointRole.GRIPPER:
         return None
-    angle, (low, high) = scale.angle_rad(servo.value(table.PRESENT_POSITION)), scale.limits_rad
+    angle, (low, high) = AngleScale(joint).angle_rad(servo.value(table.PRESENT_POSITION)), pose_range_rad(joint)
+    remedy = "move the arm there by hand before the agent is started"
+    return None if low <= angle <= high else Said(f"{angle:.3f} rad", f"{low:.3f} to {high:.3f} rad", remedy)
+
+
+def _start_pose(servo: ServoFound) -> Said | None:
+    return None if servo.slot.joint.at_rest else _pose(servo)
+
+
+def _rest_pose(servo: ServoFound) -> Said | None:
+    return _pose(servo) if servo.slot.joint.at_rest else None
+
+
+def pose_range_rad(joint: JointMap) -> tuple[float, float]:
+    """Where a joint must be before torque comes on."""
+    low, high = AngleScale(joint).limits_rad
     if joint.role is JointRole.CONTROLLED:  # one that is held takes no goal beyond its limits
         low, high = low - END_STOP_RAD, high + END_STOP_RAD
     if joint.start_rad is not None:
         low = max(low, joint.start_rad - joint.start_tolerance_rad)
         high = min(high, joint.start_rad + joint.start_tolerance_rad)
-    remedy = "move the arm there by hand before the agent is started"
-    return None if low <= angle <= high else Said(f"{angle:.3f} rad", f"{low:.3f} to {high:.3f} rad", remedy)
+    return low, high
 
 
 # --- how it was set up ------------------------------------------------------------------------------------------------
@@ -252,7 +266,8 @@ WARMTH = Rule("temperature", _HEATS, Consequence.TOLERATED, _warmth)
 WATCHDOG = Rule("bus watchdog", (table.BUS_WATCHDOG,), Consequence.MENDED, _watchdog)
 RETURN_LEVEL = Rule("Status Return Level", (table.STATUS_RETURN_LEVEL,), Consequence.MENDED, _return_level)
 TORQUE = Rule("torque", (table.TORQUE_ENABLE,), Consequence.NO_TORQUE, _torque)
-POSE = Rule("start pose", (table.PRESENT_POSITION,), Consequence.MOVE_FIRST, _pose)
+POSE = Rule("start pose", (table.PRESENT_POSITION,), Consequence.MOVE_FIRST, _start_pose)
+REST = Rule("rest pose", (table.PRESENT_POSITION,), Consequence.MOVE_FIRST, _rest_pose)
 DIRECTION = Rule("Drive Mode, direction", (table.DRIVE_MODE,), Consequence.NO_CONNECTION, _direction)
 DRIVE_BITS = Rule("Drive Mode", (table.DRIVE_MODE,), Consequence.MENDED, _drive_bits)
 SECONDARY = Rule("Secondary ID", (table.SECONDARY_ID,), Consequence.NO_CONNECTION, _secondary)
@@ -269,6 +284,6 @@ SHUTDOWN = _plain(table.SHUTDOWN, Consequence.TOLERATED)
 
 RULES = (
     MODEL, MARK, FIRMWARE, FAST_READ, SUPPLY, RATED_SUPPLY, HEAT, WARMTH, HARDWARE, WATCHDOG, RETURN_LEVEL, TORQUE,
-    POSE, DIRECTION, DRIVE_BITS, SECONDARY, HOMING, STARTUP, CURRENT_LIMIT, PWM_NEEDED, MODE, RETURN_DELAY, PWM_LIMIT,
-    LOW_LIMIT, HIGH_LIMIT, SHUTDOWN,
+    POSE, REST, DIRECTION, DRIVE_BITS, SECONDARY, HOMING, STARTUP, CURRENT_LIMIT, PWM_NEEDED, MODE, RETURN_DELAY,
+    PWM_LIMIT, LOW_LIMIT, HIGH_LIMIT, SHUTDOWN,
 )  # fmt: skip

@@ -123,12 +123,12 @@ def eeprom(rig: Rig) -> dict[int, dict[str, int]]:
     }
 
 
-def examined(rig: Rig) -> Diagnosis:
+def examined(rig: Rig, started: ArmMap | None = None) -> Diagnosis:
     """What the doctor says of the rig's line; proves on every use that it only looked."""
     before, torque = settings(rig), torque_is_off(rig)
     rig.port.writes.clear()
     out = Diagnosis("cell", "0" * 64)
-    examine_line(rig.arm, rig.port, rig.clock, out)
+    examine_line(rig.arm, rig.port, rig.clock, out, started)
     assert codes(rig) <= LOOKING
     assert settings(rig) == before
     assert torque_is_off(rig) == torque

@@ -8,9 +8,16 @@ from pathlib import Path
 import pytest
 
 from agent.cli.main import whole
+from agent.config.cell import load_cell
+from agent.config.servo_map import arm_map
+from agent.config.session import rest_joints
 from agent.modes import FLOATING, Mode
 from agent.operator.guide import STEPS
 from agent.operator.table import Verb
+from drivers.dynamixel.servo.counts import TICK_RAD
+from drivers.dynamixel.servo.found import ServoFound
+from drivers.dynamixel.servo.judge import REST, broken
+from drivers.dynamixel.servo.table import PRESENT_POSITION
 from tests.support.servos.phase_rig import At, PhaseRun, Step
 from tests.unit.test_phases import CELL as QUICK
 
@@ -43,6 +50,15 @@ def test_the_guide_has_a_line_for_every_mode_and_names_the_word_that_comes_next(
         (Mode.REST, Mode.APPROACH, Mode.READY, Mode.HOLD, Mode.LOWER, Mode.RELEASE), WORDS, strict=False
     ):
         assert f"coop {verb.value} CELL" in STEPS[before].do
+
+
+def test_the_page_quotes_what_an_arm_that_is_not_at_its_rest_is_refused_with() -> None:
+    cell = load_cell(Path("two_wx200"))
+    slot = arm_map(cell, cell.arms[0], "virtual", rest_joints(cell.arms[0])).slots[1]
+    found = {PRESENT_POSITION.name: slot.joint.zero_tick + round(2.953 / TICK_RAD)}
+    misfit = broken(REST, ServoFound(slot, slot.model.model_number, 46, found))
+    assert misfit is not None
+    assert f"`{misfit.what}: found {misfit.said.found}, expected {misfit.said.expected}; {misfit.said.remedy}`" in PAGE
 
 
 @pytest.mark.long  # the same words, said to both arms together, are in tests/unit/test_whole.py and test_phases.py

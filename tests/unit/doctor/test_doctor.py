@@ -6,10 +6,13 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import configs
-from agent.doctor.doctor import Diagnosis
+from agent.config.cell import load_cell
+from agent.config.session import rest_joints
+from agent.doctor.doctor import Diagnosis, maps_of
 from agent.verify.finding import Finding, Verdict
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.servo.table import (
@@ -280,6 +283,54 @@ def test_what_the_driver_refuses_the_doctor_does_not_call_ok(defect: str, seen: 
         assert diagnosis.exit_code > 0
         pose_only = defect == "not at the start pose"  # a state, which a hand puts right, and no defect
         assert (diagnosis.exit_code == 2) != pose_only
+
+
+def resting(**rest_rad: float) -> ArmMap:
+    """The arm of a cell with a session: its rest is its start but for these joints."""
+    joints = (replace(j, at_rest=True, start_rad=rest_rad.get(j.name, j.start_rad)) for j in WX200.joints)
+    return at(WX200, joints=tuple(joints))
+
+
+def pose_lines(diagnosis: Diagnosis) -> list[str]:
+    return [line for line in lines(diagnosis, but_ok=False) if " pose: " in line]
+
+
+def test_an_arm_of_a_session_may_lie_at_rest_or_stand_at_its_start_and_the_line_says_which(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("agent.doctor.cycle.READS", 10)
+    far = at(WX200, joints=tuple(replace(j, start_rad=-1.0) if j.name == "elbow" else j for j in WX200.joints))
+    (at_rest,) = pose_lines(examined(build(resting(), timing=WIRE), started=far))
+    assert re.search(r"^ok: left: rest pose: waist 0.00, .*elbow 0.70, .*\(wanted the cell's rest pose\)", at_rest)
+    (at_start,) = pose_lines(examined(build(resting(elbow=1.5), timing=WIRE), started=WX200))
+    assert re.search(r"^ok: left: start pose: .*\(wanted the cell's start pose\)", at_start)
+    (neither,) = pose_lines(examined(build(resting(elbow=1.5), timing=WIRE), started=far))
+    assert re.search(
+        r"^warning: left: servo 4 \(elbow\): rest pose: found 0.699 rad, wanted 1.350 to 1.\d+ rad; move the arm there "
+        r"by hand before the agent is started, or, where that is without --whole, to -1.150 to -0.850 rad, the start",
+        neither,
+    )
+
+
+def test_an_arm_halfway_between_rest_and_start_is_at_neither(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.doctor.cycle.READS", 10)
+    far = at(WX200, joints=tuple(replace(j, start_rad=-1.0) if j.name == "elbow" else j for j in WX200.joints))
+    (said,) = pose_lines(examined(build(resting(wrist_angle=1.0), timing=WIRE), started=far))
+    assert "(wrist_angle): rest pose: found 0.4" in said
+
+
+def test_the_pose_that_is_looked_for_is_the_rest_where_the_cell_has_a_session() -> None:
+    plain, session = load_cell(TWO_WX200), load_cell(TWO_WX200, ["session.lift_m=0.02"])
+    q = np.array(plain.arms[0].entry.q_near_rad)
+    found, started = maps_of(plain, plain.arms[0], "virtual", q)
+    assert found is started
+    assert not any(joint.at_rest for joint in found.joints)
+    found, started = maps_of(session, session.arms[0], "virtual", q)
+    assert [j.start_rad for j in started.controlled] == q.tolist()
+    assert [j.start_rad for j in found.controlled] == rest_joints(session.arms[0]).tolist()
+    assert [j.at_rest for j in (*found.joints[:-1], *started.joints)] == [True] * 5 + [False] * 6
+    other = load_cell(TWO_WX200, ["session.lift_m=0.02", "arms.left.rest_rad={elbow=1.0}"]).arms[0]
+    assert other.rest_rad == {**session.arms[0].file.sleep_rad, "elbow": 1.0}
 
 
 def test_a_problem_with_one_servo_does_not_hide_another() -> None:

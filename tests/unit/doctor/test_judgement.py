@@ -78,6 +78,7 @@ def displaced(rig: Rig) -> None:
 
 
 MARKED = at(WX200, mark=Mark("left", 1, ((2, "right"),)))
+RESTING = at(WX200, joints=tuple(replace(joint, at_rest=True) for joint in WX200.joints))
 
 BREAKS: dict[Rule, Break] = {
     judge.MARK: replace(put(4, table.MOVING_THRESHOLD, 2), rig=lambda: build(MARKED, timing=WIRE)),
@@ -93,6 +94,7 @@ BREAKS: dict[Rule, Break] = {
     judge.RETURN_LEVEL: put(4, table.STATUS_RETURN_LEVEL, 1),
     judge.TORQUE: put(4, table.TORQUE_ENABLE, 1),
     judge.POSE: Break(4, displaced),
+    judge.REST: Break(4, displaced, lambda: build(RESTING, timing=WIRE)),
     judge.DIRECTION: put(4, table.DRIVE_MODE, 0),
     judge.DRIVE_BITS: put(1, table.DRIVE_MODE, 4),
     judge.SECONDARY: put(3, table.SECONDARY_ID, 255),
@@ -113,7 +115,7 @@ EXPECTED = {
         judge.SECONDARY, judge.HOMING, judge.STARTUP, judge.CURRENT_LIMIT, judge.PWM_NEEDED,
     },
     Consequence.NO_TORQUE: {judge.TORQUE},
-    Consequence.MOVE_FIRST: {judge.POSE},
+    Consequence.MOVE_FIRST: {judge.POSE, judge.REST},
     Consequence.MENDED: {judge.WATCHDOG, judge.RETURN_LEVEL, judge.DRIVE_BITS, judge.RETURN_DELAY},
     Consequence.ROUTINE: {judge.MODE},
     Consequence.TOLERATED: {

@@ -235,6 +235,16 @@ def test_no_torque_before_rest_pose_room_and_a_yes(
     assert told in found[-1].line or any(told in f.line for f in wrong(found))
 
 
+def test_an_arm_is_laid_as_its_cell_says_that_it_rests() -> None:
+    cell = load_cell(Path("two_wx200"), ["arms.left.rest_rad={elbow=1.0}"])
+    rig = build(map_of(cell, cell.arms[0], "virtual"))
+    place(rig, SLEEP | {"elbow": 1.0})
+    found = first_motion(cell, cell.arms[0], rig.driver, rig.clock, lambda question: question == AT_REST)
+    assert not wrong(found)
+    assert found[-1].what == "first motion", "a no to the second question"
+    assert "1.00 ± 0.35 rad" in next(f.wanted for f in found if "elbow" in f.what)
+
+
 def test_what_is_to_be_seen_is_the_way_of_the_gripper() -> None:
     arm = CELL.arms[0]
     model = CELL.model(arm)

@@ -246,6 +246,8 @@ def test_hardware_error_at_start():
 def test_arm_far_from_its_start_pose():
     rig = build(at(WX200, joints=tuple(replace(j, start_rad=1.0) if j.name == "elbow" else j for j in WX200.joints)))
     refused(rig, PoseError, r"servo 4 \(elbow\): start pose: found 0.699 rad, expected 0.850")
+    lying = (replace(j, start_rad=1.0, at_rest=True) if j.name == "elbow" else j for j in WX200.joints)
+    refused(build(at(WX200, joints=tuple(lying))), PoseError, r"\(elbow\): rest pose: found 0.699 rad, expected 0.850")
 
 
 @pytest.mark.parametrize(("beyond_ticks", "fits"), [(15, True), (25, False)])  # END_STOP_RAD is 19.6 of them
