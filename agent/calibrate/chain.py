@@ -147,6 +147,11 @@ def chain_of(cell: Cell) -> Chain:
     return Chain(tuple(links), basis)
 
 
+def as_exact(chain: Chain) -> Chain:
+    """The chain with every parameter taken as exact."""
+    return replace(chain, links=tuple(replace(link, scale=np.zeros(link.size)) for link in chain.links))
+
+
 def as_loose_as_told(cell: Cell) -> Chain:
     """The chain with all that the cell's own [tolerance] allows: pads, too, that give under the object's weight.
 

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 import tomli_w
 
-from agent.calibrate.chain import CalibrateError, Chain, Link, Matrix, as_loose_as_told
+from agent.calibrate.chain import CalibrateError, Chain, Link, Matrix, as_exact, as_loose_as_told
 from agent.calibrate.poses import Poses
 from agent.calibrate.propose import Proposal, propose
 from agent.calibrate.solve import Solution, disagreement, explained, rms, solve
@@ -30,6 +30,7 @@ from drivers.interface import Vector
 
 SEEN_BELOW: Final = 0.5  # of the prior's standard deviation is left
 KNOWN: Final = 1e-12
+GRID_TIMES: Final = 2.0  # the encoders' grid leaves once as much; readings have noise beside it, zeros whole steps
 
 
 class Outcome(enum.StrEnum):
@@ -65,6 +66,7 @@ class Calibrated:
     after: tuple[Vector, Vector]
     proposals: tuple[Proposal, ...]
     explained: tuple[float, float]  # m and rad of disagreement that the cell's own [tolerance] has, poses held out
+    grid: tuple[float, float]  # the same of arms that are exact, of the encoders' grid alone
 
     @property
     def judged(self) -> tuple[float, float, float, float]:
@@ -78,6 +80,19 @@ class Calibrated:
         """Whether the poses held out agree better than before."""
         before_m, after_m, before_rad, after_rad = self.judged
         return after_m < before_m and after_rad <= max(before_rad, 1.1 * TICK_RAD)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the file agrees already: its disagreement may be of readings alone, and the fit mended nothing."""
+        before_m, _, before_rad, _ = self.judged
+        most_m, most_rad = self.readings
+        return not self.better and before_m <= most_m and before_rad <= most_rad
+
+    @property
+    def readings(self) -> tuple[float, float]:
+        """Disagreement, m and rad, that may be of the readings alone."""
+        m, rad = self.grid
+        return GRID_TIMES * m, GRID_TIMES * rad
 
     @property
     def left(self) -> tuple[float, float]:
@@ -119,8 +134,9 @@ def calibrated(cell: Cell, chain: Chain, poses: Poses) -> Calibrated:
     written = solve(chain, used, zeros).x
     before, after = (disagreement(chain, x, poses.q) for x in (np.zeros(chain.size), written))
     proposals = tuple(propose(chain, solution, used))
-    told = explained(as_loose_as_told(cell), np.zeros(chain.size), poses.some(poses.held_out))
-    return Calibrated(cell, chain, poses, solution, written, before, after, proposals, told)
+    held, nothing = poses.some(poses.held_out), np.zeros(chain.size)
+    told, grid = (explained(of, nothing, held) for of in (as_loose_as_told(cell), as_exact(chain)))
+    return Calibrated(cell, chain, poses, solution, written, before, after, proposals, told, grid)
 
 
 def arm_toml(arm: Arm, zeros_rad: Vector, urdf: str | None = None) -> str:
@@ -246,6 +262,7 @@ def summary(result: Calibrated) -> dict[str, Any]:
         "observed": result.solution.observed,
         "spread": result.solution.spread,
         "better": result.better,
+        "settled": result.settled,
         "estimates": [
             {"arm": e.arm, "name": e.name, "value": e.value, "sigma": e.sigma, "prior": e.prior, "outcome": e.outcome}
             for e in result.estimates()

@@ -114,13 +114,16 @@ def _refuse_others(changes: Sequence[str]) -> None:
             )  # fmt: skip
 
 
-def write(result: Calibrated, logs: Sequence[Path], out: Path) -> Files:
+def write(result: Calibrated, logs: Sequence[Path], out: Path) -> Files | None:
     """Write cell, arm files, figure and summary into the folder `out`, which may be new.
 
+    None, with nothing written, where the cell's own file agrees already.
     Raises CalibrateError where the poses held out do not agree better than before, or not even as well as the cell's
     own [tolerance] has it, and WriteError, with nothing written, where one of the files is there already or cannot be
     written, or another has the name of a URDF that ships.
     """
+    if result.settled:
+        return None
     if not result.better:
         before_m, after_m, before_rad, after_rad = result.judged
         raise CalibrateError(

@@ -41,6 +41,12 @@ def lines(result: Calibrated) -> list[str]:
         f"disagreement of the poses held out, rms: {1e3 * before_m:.2f} mm and {1e3 * before_rad:.2f} mrad before, "
         f"{1e3 * after_m:.2f} mm and {1e3 * after_rad:.2f} mrad after"
     )
+    if result.settled:
+        most_m, most_rad = result.readings
+        said.append(
+            f"the cell's file agrees already: readings leave up to {1e3 * most_m:.2f} mm and {1e3 * most_rad:.2f} mrad "
+            "by themselves; it is kept, and nothing is written"
+        )
     doubted = int((result.solution.weights < 0.5).sum())
     if doubted:
         said.append(f"{doubted} poses do not fit the others and count little: did a grasp slip?")

@@ -161,7 +161,7 @@ def calibrate(
     change: Overrides = [],
     as_json: AsJson = False,
 ) -> None:
-    """Calibrate bases, grasps and joint zeros from the joint angles of logs, and write a new cell file."""
+    """Calibrate bases, grasps and joint zeros from logs' joint angles, and write a new cell file where it is better."""
     from agent.calibrate.result import summary
     from agent.calibrate.run import calibrate as calibrate_logs
     from agent.calibrate.run import write
@@ -175,8 +175,13 @@ def calibrate(
     files = write(result, logs, out or logs[0].parent)
     if as_json:
         print_json(
-            {**summary(result), "log": str(logs[0]), "logs": [str(log) for log in logs], "written": str(files.cell)}
-        )
+            {
+                **summary(result), "log": str(logs[0]), "logs": [str(log) for log in logs],
+                "written": None if files is None else str(files.cell),
+            }
+        )  # fmt: skip
+        return
+    if files is None:
         return
     arms = "\n".join(f"arm file {arm}" for arm in files.arms)
     typer.echo(f"cell     {files.cell}\n{arms}\nfigure   {files.figure}\nall      {files.summary}")

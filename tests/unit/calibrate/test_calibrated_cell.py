@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from agent.atomic import WriteError
 from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml
 from agent.calibrate.run import calibrate, urdf_names, write
+from agent.calibrate.show import lines
 from agent.config.cell import Cell, load_cell
 from agent.config.reality import reality_of
 from agent.config.schema.reality import ArmReality, Reality
@@ -22,6 +24,7 @@ from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.servo.counts import TICK_RAD
 from sim_backend.physics.plant import Observation
 from tests.support.calibrate_rig import UNSURE, rig
+from tests.support.command import coop
 from tests.support.few import long
 from tests.support.full_disk import full_for
 from tests.support.plant.inprocess import simulate
@@ -119,13 +122,55 @@ def test_a_disk_that_is_full_is_told_with_the_file_and_the_next_attempt_works(
 
 def test_what_does_not_agree_better_is_not_written(tmp_path: Path) -> None:
     result, _ = in_error()
-    worse = Calibrated(
-        result.cell, result.chain, result.poses, result.solution, result.written, result.after, result.before, (),
-        result.explained,
-    )  # fmt: skip
+    off_m, off_rad = result.after
+    worse = replace(result, before=(5.0 * off_m, 5.0 * off_rad), after=(5.1 * off_m, 5.1 * off_rad))
     with pytest.raises(CalibrateError, match="nothing is written"):
         write(worse, [LOG], tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["two_wx200", "three_wx250s"])
+@pytest.mark.parametrize("noise_rad", [0.0, 2e-3])
+def test_a_calibrated_cell_calibrated_again_is_no_refusal_and_is_kept(
+    tmp_path: Path, name: str, noise_rad: float
+) -> None:
+    """The fit is as far as it can be, so a second one does not mend what is left."""
+    made = rig(name, SEED, noise_rad)
+    found = calibrated(made.cell, made.chain, made.poses)
+    again = replace(found, before=found.after)
+    assert again.settled
+    assert write(again, [LOG], tmp_path / "new") is None
+    assert not list(tmp_path.iterdir())
+    assert any("agrees already" in line for line in lines(again))
+    assert not any("agrees already" in line for line in lines(found))
+
+
+def test_the_command_says_that_a_file_agrees_already_and_ends_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result, _ = in_error()
+    monkeypatch.setattr("agent.calibrate.run.calibrate", lambda *_, **__: replace(result, before=result.after))
+    (tmp_path / "run.mcap").touch()
+    done = coop("calibrate", "run.mcap", "--out", "new", cwd=tmp_path)
+    assert (done.code, "it is kept, and nothing is written" in done.out) == (0, True)
+    found = json.loads(coop("calibrate", "run.mcap", "--out", "new", "--json", cwd=tmp_path).out)
+    assert (found["settled"], found["better"], found["written"]) == (True, False, None)
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("what", [0, 1], ids=["m", "rad"])
+def test_what_readings_do_not_leave_by_themselves_is_not_called_settled(what: int) -> None:
+    result, _ = in_error()
+    assert not result.settled, "it is better"
+    level = result.readings
+    for times, settled in ((0.98, True), (1.02, False)):
+        size = [0.5 * of for of in level]
+        size[what] = times * level[what]
+        same = tuple(np.full_like(v, of) for v, of in zip(result.before, size, strict=True))
+        assert replace(result, before=same, after=same).settled == settled
+    assert result.readings == tuple(2.0 * of for of in result.grid)
+    assert 1e-4 < result.grid[0] < 1.5e-4
+    assert 5e-4 < result.grid[1] < 6e-4
 
 
 def alone() -> Calibrated:
