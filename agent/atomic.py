@@ -7,6 +7,7 @@ import errno
 import io
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -61,12 +62,13 @@ def make_folder(path: Path) -> None:
         ) from error
 
 
-def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteError) -> None:
+def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteError, mode: int | None = None) -> None:
     """Replace `path` by a file with this content, on disk before it has the name.
 
+    mode: of the file; None: that of the one which is replaced, else what the umask leaves of 0o666.
     Raises `refusal`, for a place in an installed package too: what is there belongs to its next version.
     """
-    _put(path, io.BytesIO(content), refusal)
+    _put(path, io.BytesIO(content), refusal, mode)
 
 
 def write_together(contents: Mapping[Path, bytes]) -> None:
@@ -91,10 +93,10 @@ def _remove(path: Path) -> None:
 def copy_atomically(source: Path, path: Path, refusal: type[Refusal] = WriteError) -> None:
     """Replace `path` by a copy of `source`, which may lie on another disk, as `write_atomically` does."""
     with source.open("rb") as file:
-        _put(path, file, refusal)
+        _put(path, file, refusal, None)
 
 
-def _put(path: Path, content: BinaryIO, refusal: type[Refusal]) -> None:
+def _put(path: Path, content: BinaryIO, refusal: type[Refusal], mode: int | None) -> None:
     if _installed(path):
         raise refusal(
             f"file {path}", found="a place in the installed package", expected="a folder of yours",
@@ -109,12 +111,26 @@ def _put(path: Path, content: BinaryIO, refusal: type[Refusal]) -> None:
             shutil.copyfileobj(content, file)
             file.flush()
             os.fsync(file.fileno())
-        Path(name).chmod(0o644)
+        Path(name).chmod(_mode(path) if mode is None else mode)
         Path(name).replace(path)
     except OSError as error:
         with contextlib.suppress(OSError):
             Path(name).unlink()
         raise _refused(refusal, path, error) from error
+
+
+def _mode(path: Path) -> int:
+    try:
+        return stat.S_IMODE(path.stat().st_mode)
+    except FileNotFoundError:
+        return 0o666 & ~umask()
+
+
+def umask() -> int:
+    """What new files of this process go without; while it is asked, a file of another thread is closed to others."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
 
 
 def _installed(path: Path) -> bool:

@@ -205,7 +205,8 @@ def require_own(path: Path) -> None:
 def keep(path: Path, latency: Latency) -> None:
     """Keep the result.  Raises Refusal."""
     make_folder(path.parent)
-    write_atomically(path, json.dumps(latency.document(), indent=1).encode())
+    document = json.dumps(latency.document(), indent=1).encode()
+    write_atomically(path, document, mode=0o644)  # agents of other users read root's, whatever its umask
 
 
 def newest(paths: Sequence[Path]) -> Latency | None:

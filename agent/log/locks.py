@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from agent.atomic import umask
 from agent.telemetry.ring import file as ring_file
 
 SUFFIX: Final = ".repairing"
@@ -33,7 +34,7 @@ def create_written(path: Path) -> int:
     if not ring_file.lock(fd):
         raise AssertionError("nobody else can open this file")
     with suppress(PermissionError):  # of a file system that has no modes
-        os.fchmod(fd, 0o644 & ~_umask())
+        os.fchmod(fd, 0o644 & ~umask())
     return fd
 
 
@@ -88,10 +89,3 @@ def is_named(path: Path, fd: int) -> bool:
         return os.path.samestat(path.stat(), os.fstat(fd))
     except FileNotFoundError:
         return False
-
-
-def _umask() -> int:
-    """Between the two a file of another thread is closed to others at worst."""
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -37,6 +39,37 @@ def test_a_disk_that_is_full_wants_room_and_another_one_a_folder(
             assert sorted(path.name for path in tmp_path.iterdir()) == ["log", "source"]
     copy_atomically(tmp_path / "source", tmp_path / "log")
     assert (tmp_path / "log").read_text() == (tmp_path / "source").read_text() == "after"
+
+
+@pytest.fixture
+def closed() -> Iterator[None]:
+    before = os.umask(0o077)
+    yield
+    os.umask(before)
+
+
+@pytest.mark.usefixtures("closed")
+def test_a_new_file_follows_the_umask_and_one_that_is_replaced_keeps_its_mode(tmp_path: Path) -> None:
+    source, path = tmp_path / "source", tmp_path / "file"
+    source.write_text("content")
+    for write in (lambda: write_atomically(path, b"content"), lambda: copy_atomically(source, path)):
+        write()
+        assert mode(path) == 0o600
+        assert os.umask(0o077) == 0o077
+        for kept in (0o664, 0o444):
+            path.chmod(kept)
+            write()
+            assert mode(path) == kept
+        path.unlink()
+    os.umask(0o002)
+    write_atomically(path, b"content")
+    assert mode(path) == 0o664
+    write_atomically(path, b"content", mode=0o600)
+    assert mode(path) == 0o600
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
 
 
 def test_of_files_that_are_written_together_none_stays_that_is_new_where_one_fails(

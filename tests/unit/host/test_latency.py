@@ -7,6 +7,7 @@ import json
 import math
 import os
 import signal
+import stat
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -118,7 +119,12 @@ def test_a_host_is_fit_when_no_cycle_is_later_than_half_a_period(
 def test_what_is_kept_is_read_back_and_the_newest_counts(tmp_path: Path) -> None:
     old, new = tmp_path / "state" / "latency.json", tmp_path / "latency.json"
     keep(old, result(1e-3))
-    keep(new, replace(result(2e-3), utc_ns=8))
+    before = os.umask(0o077)
+    try:
+        keep(new, replace(result(2e-3), utc_ns=8))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(new.stat().st_mode) == 0o644, "agents of other users read root's"
     (tmp_path / "odd.json").write_text('{"schema": 1, "counts": []}')
     assert newest([tmp_path / "none", tmp_path / "odd.json", old]) == result(1e-3)
     assert newest([new, old]) == replace(result(2e-3), utc_ns=8)
