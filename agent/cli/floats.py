@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
@@ -28,6 +29,8 @@ QUESTION = (
     "Is arm {arms} supported by somebody's hand or by what it lies on, is nobody's hand between its links, and is "
     "somebody ready to pull the plug? Torque comes on now, {what}."
 )
+HEADINGS = ("joint", "rad", "°", "rad/s", "to its limit", "load", "°C")
+SPARE = ("°", "rad/s", "load")  # left out of a narrow table, in this order
 STOPS = "Ctrl-C: it brakes and stands for 3 s, sinks slowly, and its torque goes off once it lies"
 
 
@@ -90,17 +93,13 @@ float_arms.__name__ = "float"  # the command's word, which a function of this mo
 
 
 def _ask(arms: Sequence[str], moving: Sequence[str], *, holding: bool, yes: bool) -> None:
-    """Raise FloatError unless a person says that the arms are supported; moving: those that move the object."""
-    from agent.process.float_loop import FloatError
-
+    """End the command unless a person says that the arms are supported; moving: those that move the object."""
     what = "and the grippers close on the object" if holding else "and the arm floats"
     if moving:
         what += f"; 3 s later it MOVES, carried by {' and '.join(moving)}"
     if not yes and not asked_yes(QUESTION.format(arms=" and ".join(arms), what=what)):
-        raise FloatError(
-            "a person's yes", found="none", expected="that the arm is supported",
-            remedy="support it and answer yes, or give --yes",
-        )  # fmt: skip
+        note("no arm floats: nobody has said yes; support them and answer yes, or give --yes")
+        raise typer.Exit(1)
 
 
 class Shown:
@@ -161,7 +160,7 @@ class Shown:
             self._steps.clear()
             self._live = Live(console=Console(), auto_refresh=False)
             self._live.start()
-        self._live.update(tables(glances), refresh=True)
+        self._live.update(tables(glances, self._live.console.width), refresh=True)
 
     def _due(self, every_s: float) -> bool:
         now_s = time.monotonic()
@@ -186,19 +185,33 @@ def line(glance: Glance) -> str:
     return f"{glance.t:7.1f} s  {glance.arm} {glance.mode.name}  {joints} rad  at {x:+.3f} {y:+.3f} {z:+.3f} m"
 
 
-def tables(glances: Sequence[Glance]) -> Group:
-    """All arms as tables, one without torque as a line, with what they say below."""
+def tables(glances: Sequence[Glance], width: int) -> Group:
+    """All arms as tables of at most so many characters, one without torque as a line, with what they say below."""
     from rich.console import Group
     from rich.text import Text
 
     parts: list[Table | Text] = []
     for glance in glances:
-        parts.append(_table(glance) if glance.joints else Text(f"{glance.arm}  {glance.mode.name}", style="italic"))
+        parts.append(
+            _fitting(glance, width) if glance.joints else Text(f"{glance.arm}  {glance.mode.name}", style="italic")
+        )
         parts += [Text(f"  {text}", style="yellow") for text in glance.said]
     return Group(*parts, Text(STOPS, style="dim"))
 
 
-def _table(glance: Glance) -> Table:
+def _fitting(glance: Glance, width: int) -> Table:
+    """Its table, on a narrow screen without what another column or the log says too, rather than with cut names."""
+    from rich.console import Console
+
+    wide, table = Console(width=1000), _table(glance, ())
+    for out in range(1, len(SPARE) + 1):
+        if wide.measure(table).maximum <= width:
+            break
+        table = _table(glance, SPARE[:out])
+    return table
+
+
+def _table(glance: Glance, without: Sequence[str]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
@@ -206,13 +219,15 @@ def _table(glance: Glance) -> Table:
     roll, pitch, yaw = map(math.degrees, glance.rpy_rad)
     place = f"end effector {x:+.4f} {y:+.4f} {z:+.4f} m, roll {roll:+.1f}° pitch {pitch:+.1f}° yaw {yaw:+.1f}°"
     table = Table(title=f"{glance.arm}  {glance.mode.name}  {glance.t:.1f} s", caption=place, title_justify="left")
-    for heading in ("joint", "rad", "°", "rad/s", "to its limit", "load", "°C"):
-        table.add_column(heading, justify="left" if heading == "joint" else "right")
+    shown = [heading not in without for heading in HEADINGS]
+    for heading in compress(HEADINGS, shown):
+        table.add_column(heading, justify="left" if heading == "joint" else "right", no_wrap=True)
     for j in glance.joints:
         near = "red" if j.room_rad < 0.1 else ""
-        table.add_row(
+        cells: tuple[str | Text, ...] = (
             j.name, f"{j.q_rad:+.4f}", f"{math.degrees(j.q_rad):+.1f}", f"{j.dq_rad_per_s:+.2f}",
             Text(f"{j.room_rad:.2f} rad", style=near), f"{j.load:.0%}",
             "-" if math.isnan(j.temperature_C) else f"{j.temperature_C:.0f}",
         )  # fmt: skip
+        table.add_row(*compress(cells, shown))
     return table

@@ -30,11 +30,30 @@ SEEN = Glance(
 
 def test_a_table_has_joints_pose_load_limits_and_words() -> None:
     console = Console(file=io.StringIO(), width=120)
-    console.print(tables([SEEN]))
+    console.print(tables([SEEN], 120))
     text = console.file.getvalue()  # type: ignore[attr-defined]
     for part in ("left  FLOAT  12.3 s", "+0.5000", "+28.6", "-0.25", "0.04 rad", "24%", "41", "+0.3100", "pitch +30.0°",
                  "a servo is warm", STOPS):  # fmt: skip
         assert part in text, part
+
+
+@pytest.mark.parametrize(
+    ("width", "headings"),
+    [
+        (68, ["joint", "rad", "°", "rad/s", "to its limit", "load", "°C"]),
+        (60, ["joint", "rad", "rad/s", "to its limit", "load", "°C"]),
+        (52, ["joint", "rad", "to its limit", "load", "°C"]),
+        (45, ["joint", "rad", "to its limit", "°C"]),
+    ],
+)
+def test_a_narrow_table_leaves_columns_out_degrees_first_and_cuts_no_name(width: int, headings: list[str]) -> None:
+    console = Console(file=io.StringIO(), width=width)
+    console.print(tables([SEEN], width))
+    drawn = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    head = next(row for row in drawn if "joint" in row)
+    assert [cell.strip() for cell in head.split("┃")[1:-1]] == headings
+    assert sum("wrist_angle" in row and "1.20 rad" in row for row in drawn) == 1
+    assert all(len(row) <= width for row in drawn)
 
 
 def test_a_line_and_a_document_say_the_same() -> None:
@@ -67,7 +86,7 @@ def test_what_an_arm_says_is_told_once_and_nothing_before_its_first_row(capsys: 
 
 def test_an_arm_without_torque_is_one_line_of_the_table_and_has_no_joints_in_a_document() -> None:
     console = Console(file=io.StringIO(), width=120)
-    console.print(tables([SEEN.off(), Glance("right", Mode.OFF)]))
+    console.print(tables([SEEN.off(), Glance("right", Mode.OFF)], 120))
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert text.splitlines()[:4] == ["left  OFF", "  a servo is warm", "  torque off", "right  OFF"]
     document = SEEN.off().document()
@@ -113,6 +132,19 @@ def test_a_stop_at_the_question_ends_the_command_and_no_arm_gets_torque(
     done = coop("float", "two_wx200", "--arm", "left", "--out", tmp_path / "out")
     assert (done.code, done.out, done.err) == (130, "", "")
     assert [question[:22] for question in asked] == ["Is arm left supported "]
+
+
+@pytest.mark.parametrize("answer", ["n\n", "\n"])
+def test_a_no_at_the_question_ends_with_1_and_no_arm_gets_torque(
+    answer: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("agent.process.floating_cell.require_usable", lambda _: None)
+    monkeypatch.setattr("agent.process.floating_arms.float_arms", lambda *_: pytest.fail("an arm floats"))
+    monkeypatch.setattr("agent.cli.options.in_front", lambda: True)
+    done = coop("float", "two_wx200", "--arm", "left", "--out", tmp_path / "out", stdin=answer)
+    assert (done.code, done.out.strip()) == (1, "")
+    assert done.err.endswith("no arm floats: nobody has said yes; support them and answer yes, or give --yes\n")
+    assert not list(tmp_path.iterdir())
 
 
 def test_ports_are_refused_for_emulated_servos(tmp_path: Path) -> None:
