@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import tomli_w
 
 import configs
 from agent.config import trajectory
@@ -18,7 +17,6 @@ from agent.config.embed import embed
 from agent.config.reading import (
     CHANGED,
     ConfigError,
-    override,
     parse,
     read_file,
     refuse_all,
@@ -26,6 +24,7 @@ from agent.config.reading import (
     shown,
     validate,
 )
+from agent.config.rewrite import rewritten
 from agent.config.schema.arm import ArmFile, ServoJoint
 from agent.config.schema.cell import CellFile
 from agent.config.schema.member import Arm as ArmEntry
@@ -148,9 +147,8 @@ def load_files(cell: Path, overrides: Sequence[str] = ()) -> CellFiles:
     document = parse(raw, path)
     if overrides:
         source += CHANGED
-        for text in overrides:
-            override(document, text)
-        raw = tomli_w.dumps(document).encode()
+        raw = rewritten(raw.decode(), overrides).encode()
+        document = parse(raw, path)
     return files_from_toml(embed(raw, document, path), source)
 
 

@@ -1,0 +1,73 @@
+"""Puts values that a command line gives (`--set`) into a cell's text, whose comments and line breaks stay."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import tomli_w
+
+from agent.config.edit import Change, EditError, apply
+from agent.config.reading import override
+
+
+def rewritten(text: str, overrides: Sequence[str]) -> str:
+    """The text of a TOML file with these values, each "key.path=value".  Raises ConfigError, as `override` does.
+
+    Where one stands in a way in which it cannot be changed in its place (dotted keys, the name of an arm) the whole
+    file is written anew, without comments.
+    """
+    for given in overrides:
+        document = tomllib.loads(text)
+        override(document, given)
+        path = [part.strip() for part in given.partition("=")[0].split(".")]
+        edited = next(_edited(text, document, path), None)
+        text = tomli_w.dumps(document) if edited is None else edited
+    return text
+
+
+def _edited(text: str, wanted: dict[str, Any], path: Sequence[str]) -> Iterator[str]:
+    """The text that says what is wanted, the smallest change first."""
+    for change in _changes(wanted, path):
+        for room in ("", f"\n[{change.table}]\n"):  # for a table that is not there yet
+            if room and (change.name is not None or not change.table):
+                continue
+            try:
+                edited = apply(text.rstrip("\n") + "\n" + room, [change])
+            except (EditError, tomllib.TOMLDecodeError):
+                continue
+            if tomllib.loads(edited) == wanted:
+                yield edited
+
+
+def _changes(wanted: dict[str, Any], path: Sequence[str]) -> Iterator[Change]:
+    """The value by itself in its table, then the tables around it, inline: the deepest first."""
+    node: Any = wanted
+    found: list[Change] = []
+    table, name = "", None
+    for part in path:
+        if isinstance(node, list):
+            node, name = next((x for x in node if isinstance(x, dict) and x.get("name") == part), None), part
+            if node is None:
+                return  # it is the name that changes
+            continue
+        node = node[part]
+        if not isinstance(node, list) or part == path[-1]:
+            found.append(Change(table, part, _inline(node), name))
+        if name is not None and isinstance(node, dict):
+            break  # what is within an entry of an array stands there inline
+        table = f"{table}.{part}" if table else part
+    yield from reversed(found)
+
+
+def _inline(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_plain({key: 0})[:-4]} = {_inline(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_inline(each) for each in value) + "]"
+    return _plain({"value": value}).removeprefix("value = ")
+
+
+def _plain(document: dict[str, Any]) -> str:
+    return tomli_w.dumps(document).strip()
