@@ -22,6 +22,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from agent.telemetry.ring.taken import writer_of
 from drivers.interface import Refusal
 
 MAGIC: Final = b"COOPRING"
@@ -97,11 +98,9 @@ class RingHeader:
         label = json.dumps({"name": self.name, "joints": self.joints}).encode()
         if len(label) > _LABEL_MAX:
             raise RingError(
-                "ring label too long",
-                found=f"{len(label)} bytes",
-                expected=f"at most {_LABEL_MAX}",
+                "ring label too long", found=f"{len(label)} bytes", expected=f"at most {_LABEL_MAX}",
                 remedy="use shorter joint names",
-            )
+            )  # fmt: skip
         return static + struct.pack("<II", zlib.crc32(label, zlib.crc32(static)), len(label)) + label
 
     @classmethod
@@ -119,11 +118,9 @@ class RingHeader:
         label = data[_LABEL_OFFSET : _LABEL_OFFSET + min(label_bytes, _LABEL_MAX)]
         if version != VERSION:
             raise RingError(
-                f"{path} has another version",
-                found=version,
-                expected=VERSION,
+                f"{path} has another version", found=version, expected=VERSION,
                 remedy="run agent and telemetry from one release",
-            )
+            )  # fmt: skip
         try:
             if zlib.crc32(label, zlib.crc32(data[: _STATIC.size])) != crc:
                 raise ValueError("checksum")
@@ -152,11 +149,9 @@ def make_header(
     stride = stride_of(row_bytes)
     if not 2 <= slots <= (MAX_FILE_BYTES - SLOTS_OFFSET) // stride:
         raise RingError(
-            "ring size out of bounds",
-            found=f"{slots} slots",
-            expected=f"2 to {(MAX_FILE_BYTES - SLOTS_OFFSET) // stride}",
-            remedy="change the number of slots",
-        )
+            "ring size out of bounds", found=f"{slots} slots",
+            expected=f"2 to {(MAX_FILE_BYTES - SLOTS_OFFSET) // stride}", remedy="change the number of slots",
+        )  # fmt: skip
     ring_id = int.from_bytes(os.urandom(8), "little") | 1  # never 0, which means "none" on the wire
     return RingHeader(row_bytes, stride, slots, layout_hash(row_format), ring_id, created_ns, os.getpid(), name, joints)
 
@@ -209,12 +204,7 @@ def claim(path: Path, header: RingHeader) -> int:
             continue
         try:
             if not lock(old, _SUCCESSOR) or is_locked(old):
-                raise RingError(
-                    f"{path} has a writer already",
-                    found="its lock held by another process",
-                    expected="one writer",
-                    remedy="stop it first; a guard that holds the arm after its agent ends with `coop release`",
-                )
+                raise _taken(path, old)
             if not _is_file(path, old):
                 continue  # replaced between open and lock: look again at what is there now
             _refuse_other_file(path, old)
@@ -226,6 +216,15 @@ def claim(path: Path, header: RingHeader) -> int:
             return fd
         finally:
             os.close(old)
+
+
+def _taken(path: Path, fd: int) -> RingError:
+    try:
+        header = RingHeader.unpack(path, os.pread(fd, SLOTS_OFFSET, 0))
+        found, remedy = writer_of(header.name, header.pid)
+    except RingError:  # cut short under its writer
+        found, remedy = "its lock held by another process", "stop it first"
+    return RingError(f"{path} has a writer already", found=found, expected="one writer", remedy=remedy)
 
 
 def lock(fd: int, byte: int = _WRITER) -> bool:

@@ -18,6 +18,7 @@ import pytest
 from agent.telemetry.ring import file as ring_file
 from agent.telemetry.ring.file import RingError, RingHeader, check_format, layout_hash, make_header
 from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.taken import writer_of
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
@@ -230,6 +231,29 @@ def test_one_who_is_about_to_replace_a_ring_keeps_others_off_and_does_not_seem_t
     finally:
         os.close(fd)
     new_ring(path).close()
+
+
+def test_a_second_writer_is_told_who_made_the_ring_and_of_a_guard_where_there_may_be_one(path: Path) -> None:
+    comm = Path("/proc/self/comm").read_text().strip()
+    for name, ends in (("plant", "stop it first"), ("left", "a guard that holds the arm after its agent ends with")):
+        with RingWriter(path, AGENT_STATE, name, slots=8), pytest.raises(RingError) as refused:
+            new_ring(path)
+        told = str(refused.value)
+        assert f"another process; it was made by process {os.getpid()} ({comm}), expected one writer; stop it" in told
+        assert ends in told
+        assert ("coop release" in told) == (name == "left")
+    assert writer_of("plant", 2**22 + 1)[0].endswith("it was made by process 4194305, which has ended")
+
+
+def test_of_a_ring_that_was_cut_short_under_its_writer_nobody_is_named(path: Path) -> None:
+    path.touch()
+    fd = os.open(path, os.O_RDWR)
+    try:
+        assert ring_file.lock(fd)
+        with pytest.raises(RingError, match="has a writer already: found its lock held by another process, expected"):
+            new_ring(path)
+    finally:
+        os.close(fd)
 
 
 def test_a_lock_that_another_holds_is_not_taken(path: Path) -> None:
