@@ -11,6 +11,8 @@ from agent.config.servo_map import arm_map
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.dynamixel.arm_map import MapError
 from drivers.dynamixel.budget import cycle_budget
+from drivers.dynamixel.checks import FAULT_WITHIN_S
+from drivers.dynamixel.monitor import Round, round_of
 from drivers.interface import Vector
 
 DELAY_SHARE = 0.9  # of the computed delay that a cell may believe in: a host can be quicker than the budget
@@ -25,6 +27,7 @@ class BusRate:
     delay_s: float  # from a sample to its torque
     servos: int
     baud: int
+    checks: Round  # of its servos' registers
     fast: bool  # all servos can answer in one merged reply, if their firmware is not too old
 
     @property
@@ -49,7 +52,8 @@ def bus_rates(cell: Cell, q_start: Sequence[Vector]) -> list[BusRate]:
             continue
         fast = all(slot.model.fast_sync_min_firmware is not None for slot in servos.slots)
         budget = cycle_budget(servos, fast=fast)
-        found.append(BusRate(arm.name, budget.rate_max_hz, budget.delay_mean_s, len(servos.slots), servos.baud, fast))
+        checks, count = round_of(servos, fast=fast), len(servos.slots)
+        found.append(BusRate(arm.name, budget.rate_max_hz, budget.delay_mean_s, count, servos.baud, checks, fast))
     return found
 
 
@@ -74,4 +78,11 @@ def buses(cell: Cell, q_start: Sequence[Vector], *, wired: bool) -> list[Finding
             remedy="leave it out for one control period, or give what you have measured; simulated arms may be quicker",
         )  # fmt: skip
         findings += [rate_finding, delay_finding]
+        if wired and bus.rate_max_hz >= rate:
+            finding = judged(
+                "all servos asked for their state", bus.arm, f"within {bus.checks.seconds * 1e3:.0f} ms",
+                f"≤ {FAULT_WITHIN_S * 1e3:g} ms, so that one that restarted is noticed", holds=bus.checks.quick,
+                remedy=bus.checks.remedy, otherwise=Verdict.WARNING,
+            )  # fmt: skip
+            findings.append(finding)
     return findings

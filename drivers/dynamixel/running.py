@@ -21,7 +21,7 @@ from drivers.dynamixel.interpret import Interpreter, Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.line.group import GroupWrite, Row
 from drivers.dynamixel.line.port import Now
-from drivers.dynamixel.monitor import GapMonitor, ServoRecord
+from drivers.dynamixel.monitor import GapMonitor, ServoRecord, round_of
 from drivers.dynamixel.servo.codes import ALERT_BIT, HardwareError
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.judge import MARK, MODEL, broken
@@ -99,9 +99,10 @@ class Running:
         self._rows: list[Row | None] = [None] * len(self._records)  # of the last cycle
         self._wire_free_ns = 0
         self._known: set[tuple[FaultCause, int]] = set()
-        seconds = (self.monitor.round_gaps + 2) / arm.rate_hz
-        if seconds > FAULT_WITHIN_S:
-            text = f"all servos once in {seconds * 1e3:.0f} ms, should be {FAULT_WITHIN_S * 1e3:.0f} ms"
+        turn = round_of(arm, fast=fast, link=link)
+        if not turn.quick:
+            found, wanted = (f"{seconds * 1e3:.0f} ms" for seconds in (turn.seconds, FAULT_WITHIN_S))
+            text = f"all servos once in {found}, should be {wanted}; {turn.remedy}"
             on_event(DriverEvent(EventKind.SLOW_CHECKS, text))
 
     def again(self) -> Running:

@@ -6,6 +6,7 @@ import re
 import tomllib
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import tomli_w
 
@@ -15,11 +16,13 @@ from agent.config.servo_map import arm_map
 from agent.verify.bus import bus_rates
 from agent.verify.check import Verdict, examine
 from drivers.dynamixel.errors import DriverError
+from drivers.dynamixel.monitor import round_of
 from drivers.dynamixel.pace import PaceError, check_rate
 from tests.support.starts import start_joints
 
 WX200 = configs.CELLS_DIR / "two_wx200.toml"
 WHAT = "rate on the servo bus"
+ASKED = "all servos asked for their state"
 
 
 def highest(cell: Cell) -> float:
@@ -61,6 +64,27 @@ def test_a_delay_that_no_bus_has_is_refused_for_servos_and_warned_of_in_simulati
         cell = load_cell(WX200, [f"loop_delay_s={share * delay_s}", f'driver="{driver}"'])
         found = [f for f in examine(cell, wired=True, thorough=False).findings if f.what == "loop_delay_s"]
         assert [f.verdict for f in found] == [verdict] * 2
+
+
+@pytest.mark.parametrize(("rate_hz", "verdict"), [(60.0, Verdict.WARNING), (79.0, Verdict.WARNING), (80.0, Verdict.OK)])
+def test_a_rate_at_which_servos_are_asked_too_seldom_is_warned_of_with_a_remedy_where_servos_move_the_arms(
+    rate_hz: float, verdict: Verdict
+) -> None:
+    cell = load_cell(WX200, [f"rate_hz={rate_hz}"])
+    of = [f for f in examine(cell, wired=True, thorough=False).findings if f.what == ASKED]
+    assert [f.verdict for f in of] == [verdict] * 2
+    assert of[0].found == f"within {4e3 / rate_hz:.0f} ms"
+    assert of[0].remedy == ("raise rate_hz to 80 or more" if verdict is Verdict.WARNING else "")
+    assert ASKED not in {f.what for f in examine(cell).findings}, "in simulation nobody asks"
+
+
+def test_servos_that_find_no_room_beside_the_read_want_a_lower_rate_or_a_faster_bus() -> None:
+    arm = load_cell(WX200).arms[0]
+    for rate_hz, baud, quick in ((130.0, 200_000, False), (130.0, 1_000_000, True)):
+        servos = replace(arm_map(load_cell(WX200), arm, "port", np.zeros(3)), rate_hz=rate_hz, baud=baud)
+        found = round_of(servos, fast=False)
+        assert found.quick == quick, found
+        assert found.remedy.startswith("lower rate_hz, or raise")
 
 
 def test_a_faster_bus_carries_a_higher_rate() -> None:
