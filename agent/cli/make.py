@@ -81,7 +81,7 @@ def new(
     else:
         for finding in made.warnings:
             typer.echo(f"warning: {finding.line}")
-        note(f"written  {cell}; next: `coop run {cell}`")
+        note(f"written  {cell}; next: `coop run {cell}`, for real arms docs/new-cell.md")
 
 
 def _asks() -> bool:

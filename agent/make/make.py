@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from agent.make.write import Placed, cell_text, duration_s
 from agent.verify.check import CheckReport, examine, reach
 from agent.verify.collision.findings import collisions
 from agent.verify.finding import Finding, Verdict
+from agent.verify.session import not_gripped
 from agent.verify.tune import Form, Margin, NoGains, Tuner
 from drivers.dynamixel.servo.models import SERVOS
 
@@ -40,7 +41,7 @@ class Made:
 
     @property
     def warnings(self) -> list[Finding]:
-        """What the check warns of."""
+        """What the check warns of, and what real grippers could not hold."""
         return [f for f in self.report.findings if f.verdict is Verdict.WARNING]
 
 
@@ -85,7 +86,7 @@ class Maker:
                 ) from error
             cell = cell_from_toml(text.encode(), f"{self._wish.name}.toml")
             report = self._examined(cell, gains_stay=True)
-        return Made(text, cell, report, tune)
+        return Made(text, cell, replace(report, findings=(*report.findings, *not_gripped(cell))), tune)
 
     def _examined(self, cell: Cell, *, gains_stay: bool) -> CheckReport:
         """What the check says.  Raises WishError with its first refusal, one that gains may mend if they stay."""

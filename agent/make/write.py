@@ -74,7 +74,7 @@ def _head(wish: Wish, height_m: float, spatial: bool) -> Iterator[str]:
     yield f"# World: z up, the origin on the table below the object{only}."
     yield "format = 1"
     yield f'name = "{wish.name}"'
-    yield 'driver = "sim"  # "dynamixel" for real arms'
+    yield 'driver = "sim"  # "dynamixel" for real arms, with [session] below'
     yield f"rate_hz = {wish.rate_hz!r}"
     yield f"duration_s = {duration_s(wish.motion)!r}"
     yield "\n[world]\ngravity_m_per_s2 = [0.0, 0.0, -9.81]"
@@ -115,6 +115,8 @@ def _control(wish: Wish, gains: Gains) -> Iterator[str]:
     yield "velocity_from_position_per_s = 1.0"
     yield f"\n[simulation]\nready_s = {READY_S!r}  # the arms wait so long before the start"
     transient = RAMP_S if wish.motion.kind is MotionKind.SINUSOID else SETTLE_S
+    yield "\n# for real arms: from their rest to the object and back (docs/session.md); every key has a default"
+    yield "# [session]\n# lift_m = 0.02  # the object stands so far below its start pose"
     yield f"\n[report]\ntransient_s = {transient!r}\nmax_position_error_m = 1e-3\nmax_attitude_error_rad = 3e-3"
 
 

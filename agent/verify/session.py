@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.config.cell import Arm, Cell
+from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.session import build_life, fingers, grip_plan, rest_joints
 from agent.control import joint_track
 from agent.control.life import Life
-from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.finding import Finding, Verdict, judged, warning
 from drivers.dynamixel.servo.models import SERVOS
 
 SAMPLES = 60  # along the path
@@ -23,6 +23,18 @@ REST_OFF_MAX_RAD = 0.15  # of a joint that is not controlled, between how it res
 def lives(cell: Cell) -> list[Life]:
     """The way of each arm; none for a cell without a session.  Raises ConfigError."""
     return [] if cell.file.session is None else [build_life(cell, arm) for arm in cell.arms]
+
+
+def not_gripped(cell: Cell) -> list[Finding]:
+    """Warnings of the grippers with which the cell would be refused if it had a session."""
+    found = []
+    for arm in cell.arms:
+        try:
+            grip_plan(cell, arm)
+        except ConfigError as error:
+            remedy = f"as it is for simulation alone; for real arms {error.remedy}"
+            found.append(warning(error.what, arm.name, str(error.found), str(error.expected), remedy))
+    return found
 
 
 def session(cell: Cell, of_arms: Sequence[Life]) -> list[Finding]:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from agent.cli.main import dispatch
-from agent.config.cell import ConfigError, load_cell
+from agent.config.cell import ConfigError, cell_from_toml, load_cell
 from agent.make.make import Made, Maker
 from agent.make.place import grasp
 from agent.make.wish import (
@@ -215,6 +215,24 @@ def test_the_command_writes_a_file_that_check_accepts(tmp_path: Path, capsys: py
     assert dispatch(["new", str(path), *ASK]) == 2
     assert "give --force" in capsys.readouterr().err
     assert path.read_bytes() == before
+
+
+def test_an_object_that_no_gripper_closes_on_is_warned_of_and_one_that_fits_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for width, warned in (("0.03", True), ("0.04", False)):
+        path = tmp_path / "cell.toml"
+        assert dispatch(["new", str(path), *ASK, "--size", f"0.2,{width},0.03", "--force"]) == 0
+        told = "warning: left: object between the fingers of arm left: found 30.0 mm, wanted 33.0 to 70.0 mm; as it is"
+        assert (told in capsys.readouterr().out) == warned
+        text = path.read_text().replace("# [session]\n# lift_m", "[session]\nlift_m").replace('"sim"', '"dynamixel"')
+        cell = cell_from_toml(text.encode(), "cell.toml")
+        assert cell.file.session is not None
+        if warned:
+            with pytest.raises(ConfigError, match=r"found 30\.0 mm, expected 33\.0 to 70\.0 mm"):
+                examine(cell)
+        else:
+            assert "grip" in {finding.what for finding in examine(cell, thorough=False).findings}
 
 
 def test_nothing_is_written_where_something_cannot_be_met(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
