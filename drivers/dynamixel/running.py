@@ -101,8 +101,8 @@ class Running:
         self._known: set[tuple[FaultCause, int]] = set()
         turn = round_of(arm, fast=fast, link=link)
         if not turn.quick:
-            found, wanted = (f"{seconds * 1e3:.0f} ms" for seconds in (turn.seconds, FAULT_WITHIN_S))
-            text = f"all servos once in {found}, should be {wanted}; {turn.remedy}"
+            takes, wanted = (f"{seconds * 1e3:.0f} ms" for seconds in (turn.seconds, FAULT_WITHIN_S))
+            text = f"all servos once in {takes}, should be {wanted}; {turn.remedy}"
             on_event(DriverEvent(EventKind.SLOW_CHECKS, text))
 
     def again(self) -> Running:
