@@ -10,6 +10,7 @@ from agent.control.memory import Memory
 from agent.cycles import Patience
 from agent.modes import Event, Mode
 from agent.safety import Flag
+from drivers.interface import DriverError
 
 
 class LoopLog(Protocol):
@@ -73,3 +74,4 @@ class RunSummary:
     mode: Mode  # in which it ended
     reason: str  # of a hold or a fault, empty without one
     tracked_s: float  # of the wall clock, from the trajectory's first state to its last torque
+    lost: DriverError | None = None  # by what the arm failed the last time that it did

@@ -99,7 +99,7 @@ class Runner:
             self._cycle(deadline_ns)
         return RunSummary(
             ticks=self._rows, late_cycles=self._late_cycles, stale_cycles=self._stale_cycles,
-            mode=self._mode, reason=self._reason or self._untaken, tracked_s=self._tracked_s,
+            mode=self._mode, reason=self._reason or self._untaken, tracked_s=self._tracked_s, lost=self._sight.lost,
         )  # fmt: skip
 
     def _cycle(self, deadline_ns: int) -> None:

@@ -14,13 +14,16 @@ KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays u
 
 
 class Sight:
-    """One arm as its loop sees it.  unseen: what the last read, or attempt to bring the arm back, failed by."""
+    """One arm as its loop sees it.  unseen: what the last read, or attempt to bring the arm back, failed by; lost:
+    the same as an error, where it was one.
+    """
 
     def __init__(
         self, driver: Driver, cycles: Cycles, resumed: Callable[[], None], busy: Callable[[], None], *, lockstep: bool
     ) -> None:
         """busy: is called before the arm is brought back; resumed: once it was, and its torque begins at zero."""
         self.unseen = ""
+        self.lost: DriverError | None = None
         self._driver = driver
         self._cycles = cycles
         self._resumed = resumed
@@ -41,10 +44,10 @@ class Sight:
             self._busy()
             resumed, back = arm.recover(), True
         except ServoFault as error:
-            self.unseen = str(error)
+            self.unseen, self.lost = str(error), error
             return Bus.GIVE_UP
         except DriverError as error:
-            self.unseen, resumed, back = str(error), False, False
+            self.unseen, self.lost, resumed, back = str(error), error, False, False
         self._cycles.tried(deadline_ns, back=back)
         if resumed:
             self._resumed()
@@ -58,10 +61,10 @@ class Sight:
             self.unseen = str(error)
             return None, Event.NONE
         except StaleStateError as error:
-            self.unseen = str(error)
+            self.unseen, self.lost = str(error), error
             return None, Event.SERVO_LOST if self._lockstep else Event.NONE
         except ServoFault as error:
-            self.unseen = str(error)
+            self.unseen, self.lost = str(error), error
             state = error.state
             if state is None:
                 return None, Event.SERVO_LOST

@@ -66,10 +66,10 @@ class ArmLost(DriverError):
     def check(cls, arm: str, summary: RunSummary, *, session: bool = False) -> RunSummary:
         """The summary of a run that ended otherwise.  Raises ArmLost."""
         if summary.mode is Mode.FAULT:
-            raise cls(
-                f"arm {arm}", found=summary.reason, expected="a fresh state every cycle",
-                remedy=LOST_REMEDY if session else "see the log",
-            )  # fmt: skip
+            found, expected, remedy = summary.reason, "a fresh state every cycle", "see the log"
+            if (lost := summary.lost) is not None and str(lost) == found:  # it says more than its words
+                found, expected, remedy = f"{lost.what}: {lost.found}", str(lost.expected), lost.remedy
+            raise cls(f"arm {arm}", found=found, expected=expected, remedy=LOST_REMEDY if session else remedy)
         return summary
 
 

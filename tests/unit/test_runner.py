@@ -231,5 +231,6 @@ def test_simulated_time_is_never_late_and_skips_nothing() -> None:
 def test_a_lost_state_ends_simulated_time_in_a_fault() -> None:
     done = run(lockstep=True, failures=lost_at(5))
     assert (done.summary.mode, done.summary.reason) == (Mode.FAULT, str(lost()))
+    assert str(done.summary.lost) == done.summary.reason
     assert len(done.rows) == 5
     assert len(done.arm.written) == 4

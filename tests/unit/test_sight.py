@@ -107,6 +107,7 @@ def test_an_attempt_that_fails_says_why_and_nothing_is_asked_in_that_cycle() -> 
     seen, resumed = sight(driver)
     assert seen.plan(0, Mode.HOLD) is Bus.QUIET
     assert seen.unseen.startswith("port: found nothing")
+    assert str(seen.lost) == seen.unseen
     assert resumed == []
     assert seen.plan((PATIENCE.retry - 1) * PERIOD_NS, Mode.HOLD) is Bus.READ
     assert driver.recovers == [True], "the next attempt is not due yet"
@@ -118,6 +119,7 @@ def test_an_arm_that_says_it_cannot_come_back_is_given_up_at_once() -> None:
     seen, resumed = sight(Returns(fault(None), True))
     assert seen.plan(0, Mode.HOLD) is Bus.GIVE_UP
     assert seen.unseen.startswith("servo 2: found nothing")
+    assert str(seen.lost) == seen.unseen
     assert resumed == []
 
 
@@ -125,9 +127,10 @@ def test_an_arm_that_says_it_cannot_come_back_is_given_up_at_once() -> None:
 def test_a_state_is_passed_on_and_a_cycle_without_one_ends_simulated_time_alone(lockstep: bool) -> None:
     seen, _ = sight(Reads(STATE, error(StaleStateError, "state")), lockstep=lockstep)
     assert seen.read(Mode.TRACK) == (STATE, Event.NONE)
-    assert seen.unseen == ""
+    assert (seen.unseen, seen.lost) == ("", None)
     assert seen.read(Mode.TRACK) == (None, Event.SERVO_LOST if lockstep else Event.NONE)
     assert seen.unseen.startswith("state: found nothing")
+    assert str(seen.lost) == seen.unseen
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

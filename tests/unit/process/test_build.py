@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,7 +23,7 @@ from agent.process.agent import LOST_REMEDY, ArmLost
 from agent.process.build import Connection, build_standby, passed_on, servo_driver
 from agent.process.schedule import AgentOptions, schedule_of
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.errors import PortError
+from drivers.dynamixel.errors import PortError, StaleJointsError
 from drivers.dynamixel.pace import SHARE
 from drivers.dynamixel.standby import StandbyDriver
 from drivers.interface import Refusal
@@ -115,5 +116,15 @@ def test_an_arm_is_lost_where_its_run_ended_in_a_fault_and_nowhere_else() -> Non
         with pytest.raises(ArmLost, match="arm left: found servo 4 is silent") as lost:
             ArmLost.check("left", ended(Mode.FAULT), session=session)
         assert (lost.value.exit_code, lost.value.remedy) == (5, remedy)
+    silent = StaleJointsError(joints=["elbow"], servo_ids=[4], partial=None, reason="no reply")
+    for session, remedy in ((False, silent.remedy), (True, LOST_REMEDY)):
+        with pytest.raises(ArmLost) as lost:
+            ArmLost.check("left", replace(ended(Mode.FAULT), reason=str(silent), lost=silent), session=session)
+        said = "arm left: found joint state: no reply from servo 4 (joint elbow), expected a fresh value of every joint"
+        assert str(lost.value) == f"{said} in this cycle; {remedy}"
+    with pytest.raises(
+        ArmLost, match="arm left: found servo 4 is silent, expected a fresh state"
+    ):  # for another reason
+        ArmLost.check("left", replace(ended(Mode.FAULT), lost=silent))
     with pytest.raises(ArmLost, match="see the log"):
         ArmLost.check("left", ended(Mode.FAULT))
