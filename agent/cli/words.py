@@ -109,22 +109,27 @@ def guide(
     control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
-    """Walk through a session: what is seen at this host's arms, and what to say next, whenever it changes."""
-    from agent.host.signals import StopFlag
-    from agent.operator.ask import ask_arms
-    from agent.operator.guide import lines
-    from agent.operator.local import places
-    from agent.operator.message import Request
-    from agent.operator.table import Verb
+    """Walk through a session: what is seen at this host's arms, and what to say next, whenever it changes.
 
-    arms = places(_loaded(cell, control), [], control, host)
+    With --once: exit code 1 when one does not answer.
+    """
+    from agent.host.signals import StopFlag
+    from agent.operator.guide import lines, missing
+    from agent.operator.local import places
+    from agent.operator.status import arms as look
+
+    loaded = _loaded(cell, control)
+    arms = places(loaded, [], control, host)
     requested, before = StopFlag(suspends=True), [""]
     while not requested():
-        now = lines(ask_arms(arms, Request(Verb.STATUS)), str(cell))
+        found = look(loaded, arms)
+        now = lines(found, str(cell), "--control" if control else "--arm")
         if now != before:
             typer.echo("\n".join([*now, ""]))
             before = now
-        if once or is_unread():
+        if once:
+            raise typer.Exit(1 if missing(found) else 0)
+        if is_unread():
             return
         time.sleep(WATCH_STEP_S)
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from agent.modes import TABLE, Mode
-from agent.operator.ask import Heard
-from agent.operator.message import Reply
+from agent.operator.show import ENDED, HUNG, NONE, STARTING, silent
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ _STANDS = "coop stop CELL: it stands where it is and opens its gripper; then coo
 _HOLDS = "coop stop CELL: the arms hold the object; then coop lower CELL"
 
 STEPS: Final[Mapping[Mode, Step]] = MappingProxyType({
-    Mode.OFF: Step("the arm is limp", "bring it to its rest by hand and start its agent", ""),
+    Mode.OFF: Step("the arm is limp, its agent begins", "fold it into its rest by hand, and wait", ""),
     Mode.REST: Step(
         "the arm stands at its rest and pushes back when it is touched",
         "put the object in its place, step back: coop approach CELL (to end: coop release CELL)", "",
@@ -59,24 +59,94 @@ STEPS: Final[Mapping[Mode, Step]] = MappingProxyType({
 })  # fmt: skip
 
 
-def lines(heard: Mapping[str, Heard], cell: str) -> list[str]:
-    """How each arm is, and what to say to all of them: that of the one that is least far."""
-    said, modes = [], []
-    for arm, one in heard.items():
-        if not isinstance(one, Reply):
-            said.append(f"{arm}: does not answer ({one.found})")
+_OTHER_CELL = "RUNS OTHER SETTINGS THAN THIS FILE"
+_GOING_ON = MappingProxyType({  # beside arms that are elsewhere
+    Mode.REST: "wait, or coop approach CELL where the others stand at their grasps; to end it coop release CELL",
+    Mode.READY: "wait for the others; or coop release CELL, for the object still stands",
+})  # fmt: skip
+_GOING_BACK = MappingProxyType({  # beside one that is gone, or does not obey
+    Mode.REST: "coop release CELL ends it",
+    Mode.APPROACH: "coop park CELL",
+    Mode.READY: "coop release CELL, for the object still stands",
+    Mode.HALT: "coop park CELL",
+})  # fmt: skip
+_CARRIES = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
+_STAYS = frozenset({Mode.READY, Mode.HOLD})
+_BEGIN = "bring it to its rest by hand and start its agent"
+_OTHERS = "lead the others back; "
+_LOST = f"support it and what it holds; {_OTHERS}then fold it into its rest by hand and start its agent"
+_DEAF = "support it and what it holds: no word reaches it; its log says why, then end its process"
+_WAIT = "wait until it answers"
+_STOPS = "what moves stops, what holds the object goes on holding it"
+
+
+def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -> list[str]:
+    """How each arm is, and what to say: one word to all where all are alike, else the stop first and words by arm.
+
+    arms: as in the document of agent.operator.status; option: that which names them to a word.
+    """
+    said, modes, gone = list[str](), dict[str, Mode](), dict[str, str]()
+    for arm in arms:
+        name: str = arm["arm"]
+        head, why = (arm["mode"], "") if arm["answers"] else silent(arm)
+        mode = Mode.__members__.get(head)
+        if mode is None:
+            last = f"last {arm['mode']}" if arm["mode"] else ""
+            said.append(f"{name}: " + "; ".join([head, *filter(None, (why, last))]))
+            gone[name] = _begin_again(head, arm["mode"])
             continue
-        mode = Mode[one.mode]
-        if mode not in STEPS:  # a hand guides it
-            said.append(f"{arm}: {one.mode}: {TABLE[mode].says}")
-            continue
-        modes.append(mode)
-        said.append(f"{arm}: {one.mode}: {STEPS[mode].seen}" + (f"; {one.reason}" if one.reason else ""))
-    if len(set(modes)) == 1:
-        step = STEPS[modes[0]]
-        said.append(f"next: {step.do.replace('CELL', cell)}")
-        if step.stop:
-            said.append(f"to stop: {step.stop.replace('CELL', cell)}")
-    elif modes:
-        said.append("next: wait until all arms are equally far, or see those that are not")
-    return said
+        if mode in STEPS:  # else a hand guides it
+            modes[name] = mode
+        what = STEPS[mode].seen if mode in STEPS else TABLE[mode].says
+        other = _OTHER_CELL if arm["same_cell"] is False else ""
+        said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, (what, other, arm["reason"]))))
+    if gone or len(set(modes.values())) > 1:
+        told = _apart(modes, gone if modes else {name: text.replace(_OTHERS, "") for name, text in gone.items()})
+    else:
+        told = _alike(next(iter(modes.values()))) if modes else []
+    return said + [line.replace("--arm", option).replace("CELL", cell) for line in told]
+
+
+def missing(arms: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether one of them is not there to be told anything; of one that a hand guides nobody expects it."""
+    return any(not arm["answers"] and silent(arm)[0] not in Mode.__members__ for arm in arms)
+
+
+def _alike(mode: Mode) -> list[str]:
+    step = STEPS[mode]
+    return [f"next: {step.do}", *([f"to stop: {step.stop}"] if step.stop else [])]
+
+
+def _apart(modes: Mapping[str, Mode], gone: Mapping[str, str]) -> list[str]:
+    """What to say to arms that are not equally far; gone: what to do with those that hear nothing."""
+    told = [f"to stop: coop stop CELL: {_STOPS}"] if any(STEPS[mode].stop for mode in modes.values()) else []
+    carry = [name for name, mode in modes.items() if mode in _CARRIES]
+    how = {modes[name] for name in carry}
+    if Mode.TRACK in how or (Mode.LOWER in how and how & _STAYS):  # one moves what another one holds, or has lost
+        everyone = len(carry) == len(modes) + len(gone)
+        told.append(
+            "next: coop stop CELL; then " + _to("coop lower CELL sets the object down", [] if everyone else carry)
+        )
+    else:
+        carry = []
+    back = Mode.FAULT in modes.values() or any(text is not _WAIT for text in gone.values())
+    steps = {name: (_GOING_BACK if back else _GOING_ON).get(mode, STEPS[mode].do) for name, mode in modes.items()}
+    left = {name: text for name, text in {**steps, **gone}.items() if name not in carry}
+    for text in dict.fromkeys(left.values()):
+        meant = [name for name, own in left.items() if own == text]
+        told.append(f"next for {', '.join(meant)}: {_to(text, meant)}")
+    return told
+
+
+def _begin_again(head: str, last: str | None) -> str:
+    """What to do with an arm that hears nothing, by how it is and its last mode."""
+    if head == STARTING:
+        return _WAIT
+    if head == HUNG:
+        return _DEAF
+    return _BEGIN if head == NONE or (head == ENDED and last != Mode.FAULT.name) else _LOST
+
+
+def _to(text: str, arms: Sequence[str]) -> str:
+    """The words of a text, said to these arms alone; none: to all."""
+    return re.sub(r"coop (\w+) CELL", "".join([r"coop \1 CELL", *(f" --arm {arm}" for arm in arms)]), text)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from agent.config.cell import Arm, Cell
@@ -11,6 +11,7 @@ from agent.host.clock import ClockState
 from agent.host.paths import control_paths
 from agent.operator.error import ControlError
 
+Places = Mapping[str, Iterable[Path]]  # of each arm: where its agent may listen
 CLOCK_WARN_S = 1e-3  # 0.1 mm at 0.1 m/s
 CLOCK_MAX_S = 5e-3
 

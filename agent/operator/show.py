@@ -9,6 +9,7 @@ from typing import Any
 
 WIDTH_REASON = 60
 HANGS_S = 1.0  # without a row, of an arm that is asked nothing
+ENDED, STARTING, HUNG, DEAD, NONE = "ENDED", "STARTING", "HUNG", "DEAD", "NONE"
 _DEAF = frozenset({"FLOAT", "STAND", "SINK"})
 
 
@@ -52,18 +53,25 @@ def _arm(arm: Mapping[str, Any], widest: int) -> Line:
         if arm["start_utc_ns"] is not None and arm["mode"] == "READY":
             parts.insert(0, "start given")
         parts.append(_guard(arm["guard"]))
-    elif arm["alive"] and arm["mode"] in _DEAF and arm["last_row_age_s"] < HANGS_S:
-        head, tone = arm["mode"], Tone.HELD
-        parts.insert(0, "listens to nobody")
-    elif arm["ended"] and arm["mode"]:
-        head, tone = "ENDED", Tone.BAD if arm["mode"] == "FAULT" else Tone.HELD
-        parts.insert(0, f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago")
     else:
-        head, tone = ("HUNG" if arm["alive"] else "DEAD" if arm["mode"] else "NONE"), Tone.BAD
-        last = f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago" if arm["mode"] else ""
-        why = arm["failed"] or arm["silence"]
-        parts = [why, last, *parts] if arm["mode"] else [why]
+        head, why = silent(arm)
+        known = arm["mode"] and head != arm["mode"]
+        tone = Tone.BAD if head not in (arm["mode"], ENDED, STARTING) or arm["mode"] == "FAULT" else Tone.HELD
+        last = f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago" if known else ""
+        parts = [why, last, *(parts if arm["mode"] else ())]
     return Line(f"{arm['arm']:<{widest}}  {head:<5}", "; ".join(part for part in parts if part), tone)
+
+
+def silent(arm: Mapping[str, Any]) -> tuple[str, str]:
+    """Of an arm that gives no answer: in one word how it is, and why; the mode itself of one that listens to nobody."""
+    if arm["alive"] and arm["mode"] in _DEAF and arm["last_row_age_s"] < HANGS_S:
+        return arm["mode"], "listens to nobody"
+    if arm["ended"] and arm["mode"]:
+        return ENDED, ""
+    if arm["alive"] and not arm["mode"]:
+        return STARTING, f"{arm['silence']}: it loads or connects, and has made no cycle yet"
+    head = HUNG if arm["alive"] else DEAD if arm["mode"] else NONE
+    return head, arm["failed"] or arm["silence"]
 
 
 def _loop(timing: Mapping[str, Any] | None) -> str:

@@ -7,7 +7,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from agent.host.held import file_of, flocks
 from agent.host.paths import barred, ring_paths
 from agent.log.locks import lock_path, note_path
 from agent.operator.ask import Heard, Silence, ask_arms
-from agent.operator.local import host_name, local_arms, places
+from agent.operator.local import Places, host_name, local_arms, places
 from agent.operator.message import Request
 from agent.operator.past import Past, look
 from agent.operator.table import Verb
@@ -35,20 +35,37 @@ def status(
     """All that `coop status --json` shows.  Raises ControlError when no arm of the cell is on this host."""
     names = [arm.name for arm in local_arms(cell, host)]
     heard = ask_arms(places(cell, names, (), host), Request(Verb.STATUS), timeout_s)
-    rings = {name: [ring for ring in ring_paths(cell.file.name, name) if not barred(ring)] for name in names}
-    pasts = {name: look(rings[name], cell.file.rate_hz) for name in names}
-    utc_ns, monotonic_ns = time.time_ns(), time.monotonic_ns()
-    ages_s = {name: past.age_s(monotonic_ns, utc_ns) if past else None for name, past in pasts.items()}
+    pasts = {name: _past(cell, name) for name in names}
     return {
         "schema": SCHEMA,
         "cell": cell.file.name,
         "fingerprint": cell.fingerprint,
         "host": host or host_name(),
-        "utc_ns": utc_ns,
+        "utc_ns": time.time_ns(),
         "clock": {"synchronised": clock.synchronised, "max_error_s": _finite(clock.max_error_s)},
         "recorder": recorder(cell.file.name, logs),
-        "arms": [_arm(cell, name, heard[name], pasts[name], ages_s[name]) for name in names],
+        "arms": _arms(cell, heard, pasts),
     }
+
+
+def arms(cell: Cell, meant: Places, timeout_s: float = STATUS_TIMEOUT_S) -> list[dict[str, Any]]:
+    """How these arms are, as in `status`; of one that answers without what only its ring says."""
+    heard = ask_arms(meant, Request(Verb.STATUS), timeout_s)
+    pasts = {name: _past(cell, name) if isinstance(one, Silence) else None for name, one in heard.items()}
+    return _arms(cell, heard, pasts)
+
+
+def _arms(cell: Cell, heard: Mapping[str, Heard], pasts: Mapping[str, Past | None]) -> list[dict[str, Any]]:
+    utc_ns, monotonic_ns = time.time_ns(), time.monotonic_ns()
+    ages_s = {name: past.age_s(monotonic_ns, utc_ns) if past else None for name, past in pasts.items()}
+    return [_arm(cell, name, one, pasts[name], ages_s[name]) for name, one in heard.items()]
+
+
+def _past(cell: Cell, arm: str) -> Past | None:
+    """What its ring says; None also of what is no arm of the cell, but a socket."""
+    if arm not in {one.name for one in cell.arms}:
+        return None
+    return look([ring for ring in ring_paths(cell.file.name, arm) if not barred(ring)], cell.file.rate_hz)
 
 
 def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, age_s: float | None) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -20,7 +20,7 @@ from agent.host.clock import ClockState
 from agent.modes import Mode
 from agent.operator.ask import REPLY_TIMEOUT_S, Heard, ask_arms
 from agent.operator.error import ControlError, InstantError
-from agent.operator.local import has_other_hosts, judge_clock, named, places
+from agent.operator.local import Places, has_other_hosts, judge_clock, named, places
 from agent.operator.message import Reply, Request
 from agent.operator.session_table import SESSION
 from agent.operator.table import TABLE, Verb
@@ -30,7 +30,6 @@ ATTEMPTS = 3  # of a patient start
 FORGET_S = 0.25  # for answers to what takes an instant back that somebody has broken off; who is late obeys it too
 DAY, MIDNIGHT = timedelta(days=1), timedelta(hours=1)
 
-Places = Mapping[str, Iterable[Path]]
 _SEE = "see `coop status` and their logs; stop reaches all who answer"
 _SOME = "name those that are meant with --arm; "
 _REACH_WHO_LIVES = (Verb.STOP, Verb.RELEASE)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import pytest
 
 from agent.modes import Event, Mode
-from agent.operator.guide import STEPS, lines
-from agent.operator.message import Reply
+from agent.operator.guide import STEPS, lines, missing
 from agent.operator.table import EVENT_OF, Verb
 from agent.session import WORDS
 from agent.session_modes import next_in_session
@@ -39,19 +39,147 @@ def test_every_word_that_is_told_next_is_taken(mode: Mode) -> None:
         assert WORDS[mode] & EVENT_OF.get(word, Event.STARTED)
 
 
-def test_the_cell_stands_in_every_line_and_an_arm_that_is_behind_is_waited_for() -> None:
-    ready = {name: Reply(True, name, "TRACK") for name in ("left", "right")}
-    assert lines(ready, "mine.toml")[-2:] == [
+def arm(name: str, mode: str | None, reason: str = "", **other: Any) -> dict[str, Any]:
+    """One that answers, as in the document of `coop status`."""
+    own = {"answers": True, "silence": None, "alive": True, "ended": False, "failed": None, "same_cell": True}
+    return {"arm": name, "mode": mode, "reason": reason, "last_row_age_s": 0.0, **own, **other}
+
+
+def silent(name: str, mode: str | None, **other: Any) -> dict[str, Any]:
+    """One that does not, dead unless `other` says more."""
+    gone = {"answers": False, "silence": "No such file or directory", "alive": False, "last_row_age_s": 3.0}
+    return arm(name, mode, **(gone | {"same_cell": None} | other))
+
+
+def test_the_cell_stands_in_every_line_of_arms_that_are_alike() -> None:
+    assert lines([arm("left", "TRACK"), arm("right", "TRACK")], "mine.toml")[-2:] == [
         "next: wait",
         "to stop: coop stop mine.toml: the arms hold the object; then coop lower mine.toml",
     ]
-    apart = {**ready, "right": Reply(True, "right", "HOLD", "the gripper lost the object")}
-    said = lines(apart, "mine.toml")
-    assert "right: HOLD: the arms hold the object and stand; the gripper lost the object" in said
-    assert said[-1].startswith("next: wait until all arms are equally far")
+
+
+STOPS = "to stop: coop stop c: what moves stops, what holds the object goes on holding it"
+LOST = (
+    "next for left: support it and what it holds; lead the others back; then fold it into its rest by hand and start "
+    "its agent"
+)
+BEGIN = "bring it to its rest by hand and start its agent"
+APART: dict[str, tuple[list[dict[str, Any]], list[str]]] = {
+    "one holds, one carries on": (
+        [arm("left", "HOLD", "it slipped"), arm("right", "TRACK")],
+        [STOPS, "next: coop stop c; then coop lower c sets the object down"],
+    ),
+    "one lowers what the other holds": (
+        [arm("left", "HOLD"), arm("right", "LOWER")],
+        [STOPS, "next: coop stop c; then coop lower c sets the object down"],
+    ),
+    "one is dead, one carries on": (
+        [silent("left", "TRACK"), arm("right", "TRACK")],
+        [STOPS, "next: coop stop c; then coop lower c --arm right sets the object down", LOST],
+    ),
+    "one is dead, two hold": (
+        [silent("left", "HOLD"), arm("right", "HOLD"), arm("third", "HOLD")],
+        [
+            (
+                "next for right, third: coop lower c --arm right --arm third sets it down; or support it, "
+                "then coop release c --arm right --arm third"
+            ),
+            LOST,
+        ],
+    ),
+    "one is dead, one lowers": (
+        [silent("left", "LOWER"), arm("right", "LOWER")],
+        [STOPS, "next for right: once it stands: coop release c --arm right", LOST],
+    ),
+    "one does not obey": (
+        [arm("left", "FAULT"), arm("right", "APPROACH")],
+        [STOPS, f"next for left: {STEPS[Mode.FAULT].do}", "next for right: coop park c --arm right"],
+    ),
+    "one has closed on nothing": (
+        [arm("left", "APPROACH"), arm("right", "READY")],
+        [
+            STOPS,
+            (
+                "next for left: look along each gripper: the object between open fingers? coop grasp c --arm left, "
+                "else coop park c --arm left"
+            ),
+            "next for right: wait for the others; or coop release c --arm right, for the object still stands",
+        ],
+    ),
+    "one hangs": (
+        [silent("left", "HOLD", alive=True), arm("right", "HALT")],
+        [
+            "next for right: coop park c --arm right",
+            "next for left: support it and what it holds: no word reaches it; its log says why, then end its process",
+        ],
+    ),
+    "one begins": (
+        [silent("left", None, alive=True), arm("right", "REST")],
+        [
+            (
+                "next for right: wait, or coop approach c --arm right where the others stand at their grasps; to end "
+                "it coop release c --arm right"
+            ),
+            "next for left: wait until it answers",
+        ],
+    ),
+    "all have ended": (
+        [silent("left", "OFF", ended=True), silent("right", "OFF", ended=True)],
+        [f"next for left, right: {BEGIN}"],
+    ),
+    "one was never there, one ended without its arm": (
+        [silent("left", "FAULT", ended=True), silent("right", None)],
+        [LOST.replace("lead the others back; ", ""), f"next for right: {BEGIN}"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", APART)
+def test_arms_that_are_not_alike_are_stopped_first_and_led_on_by_words_to_each(case: str) -> None:
+    arms, expected = APART[case]
+    assert lines(arms, "c")[len(arms) :] == expected
+    assert missing(arms) == any(not one["answers"] for one in arms)
+
+
+@pytest.mark.parametrize("case", APART)
+def test_every_word_that_is_told_to_some_arms_is_taken_by_those(case: str) -> None:
+    arms, _ = APART[case]
+    mode_of = {one["arm"]: Mode[one["mode"]] for one in arms if one["answers"]}
+    stopped = False
+    for word, named in re.findall(r"coop (\w+) c((?: --arm \w+)*)", "\n".join(lines(arms, "c"))):
+        meant = re.findall(r"--arm (\w+)", named) or list(mode_of)
+        stopped = stopped or word == "stop"
+        for name in meant if word != "stop" else ():
+            after = next_in_session(mode_of[name], Event.STOP) if word == "lower" and stopped else mode_of[name]
+            assert WORDS[after] & EVENT_OF[Verb(word)]
+
+
+def test_an_arm_that_is_not_there_is_told_of_as_status_does() -> None:
+    found = [
+        silent("a", "TRACK", failed="arm a: found no answer, expected a fresh state"), silent("b", "OFF", ended=True),
+        silent("c", None), silent("d", "HOLD", alive=True, silence="no answer within 0.5 s"),
+        silent("e", None, alive=True, silence="no answer within 0.5 s"), arm("f", "HOLD", "it is hot", same_cell=False),
+    ]  # fmt: skip
+    assert lines(found, "cell")[:6] == [
+        "a: DEAD; arm a: found no answer, expected a fresh state; last TRACK",
+        "b: ENDED; last OFF",
+        "c: NONE; No such file or directory",
+        "d: HUNG; no answer within 0.5 s; last HOLD",
+        "e: STARTING; no answer within 0.5 s: it loads or connects, and has made no cycle yet",
+        "f: HOLD: the arms hold the object and stand; RUNS OTHER SETTINGS THAN THIS FILE; it is hot",
+    ]
+
+
+def test_sockets_that_are_given_are_named_as_such() -> None:
+    assert lines([arm("l.control", "HOLD"), silent("r.control", None)], "c", "--control")[2].startswith(
+        "next for l.control: coop lower c --control l.control sets it down"
+    )
 
 
 def test_an_arm_that_a_hand_guides_is_told_of_and_not_waited_for() -> None:
-    said = lines({"left": Reply(True, "left", "REST"), "right": Reply(True, "right", "FLOAT")}, "c")
-    assert said[1].startswith("right: FLOAT: ")
-    assert said[-1].startswith("next: put the object in its place")
+    deaf = silent("third", "FLOAT", alive=True, last_row_age_s=0.01)
+    found = [arm("left", "REST"), arm("right", "FLOAT"), deaf]
+    said = lines(found, "c")
+    assert [line.split(": ")[1] for line in said[1:3]] == ["FLOAT", "FLOAT"]
+    assert said[3].startswith("next: put the object in its place")
+    assert not missing(found)

@@ -220,6 +220,34 @@ def test_an_arm_that_hangs_is_not_dead_and_one_without_a_trace_is_neither(home: 
     assert of(document, "right")["timing"] is None
 
 
+def test_an_agent_that_has_made_no_cycle_yet_is_starting_and_nothing_of_the_one_before_is_shown(home: Path) -> None:
+    with ExitStack() as stack:
+        path = ring_path("paper", "left")
+        stack.enter_context(closing(TextWriter(path, "left")))
+        stack.enter_context(RingWriter(path, AGENT_STATE, "left", ("a",), slots=ROWS))
+        stack.enter_context(serving([Arm(home / "left.control", HUNG)]))
+        shown = lines(status(CELL, CLOCK, logs=(), timeout_s=0.05))[0]
+    assert (shown.head.split()[-1], shown.tone) == ("STARTING", Tone.HELD)
+    assert shown.rest == "no answer within 0.05 s: it loads or connects, and has made no cycle yet"
+
+
+def test_the_guide_asks_the_same_and_says_by_its_exit_code_that_an_arm_is_missing(living: Arm, home: Path) -> None:
+    with ExitStack() as stack:
+        failed = [(Level.ERROR, "arm right: found no answer")]
+        write_ring(stack, "right", mode=Mode.TRACK, age_ns=5, finished=True, told=failed)
+    done = coop("guide", PAPER, "--once")
+    assert done.code == 1
+    assert done.out.splitlines()[:2] == [
+        "left: HOLD: the arms hold the object and stand; t = 3 s: OFF_TRACK",
+        "right: DEAD; arm right: found no answer; last TRACK",
+    ]
+    with serving([Arm(home / "right.control", Mode.REST, CELL.fingerprint, session=True)]):
+        assert coop("guide", PAPER, "--once").code == 0
+    given = coop("guide", PAPER, "--once", "--control", home / "left.control")
+    assert given.code == 0
+    assert given.out.startswith(f"{home / 'left.control'}: HOLD: ")
+
+
 @pytest.mark.parametrize(("age_ns", "head"), [(1, "FLOAT"), (2_000_000_000, "HUNG")])
 def test_an_arm_that_floats_listens_to_nobody_and_does_not_hang(home: Path, age_ns: int, head: str) -> None:
     with ExitStack() as stack:
