@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from agent.modes import TABLE, Mode
-from agent.operator.show import ENDED, HUNG, NONE, STARTING, silent
+from agent.operator.show import ENDED, HUNG, NONE, STARTING, silent, unfit
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +59,11 @@ STEPS: Final[Mapping[Mode, Step]] = MappingProxyType({
 })  # fmt: skip
 
 
-_OTHER_CELL = "RUNS OTHER SETTINGS THAN THIS FILE"
 _GOING_ON = MappingProxyType({  # beside arms that are elsewhere
     Mode.REST: "wait, or coop approach CELL where the others stand at their grasps; to end it coop release CELL",
     Mode.READY: "wait for the others; or coop release CELL, for the object still stands",
 })  # fmt: skip
-_GOING_BACK = MappingProxyType({  # beside one that is gone, or does not obey
+_GOING_BACK = MappingProxyType({  # beside one that is gone, does not obey, or cannot be started
     Mode.REST: "coop release CELL ends it",
     Mode.APPROACH: "coop park CELL",
     Mode.READY: "coop release CELL, for the object still stands",
@@ -98,12 +97,12 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
         if mode in STEPS:  # else a hand guides it
             modes[name] = mode
         what = STEPS[mode].seen if mode in STEPS else TABLE[mode].says
-        other = _OTHER_CELL if arm["same_cell"] is False else ""
-        said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, (what, other, arm["reason"]))))
+        said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, (what, *unfit(arm), arm["reason"]))))
+    back = any(arm["answers"] and arm["no_start"] for arm in arms)
     if gone or len(set(modes.values())) > 1:
-        told = _apart(modes, gone if modes else {name: text.replace(_OTHERS, "") for name, text in gone.items()})
+        told = _apart(modes, back, gone if modes else {name: text.replace(_OTHERS, "") for name, text in gone.items()})
     else:
-        told = _alike(next(iter(modes.values()))) if modes else []
+        told = _alike(next(iter(modes.values())), back) if modes else []
     return said + [line.replace("--arm", option).replace("CELL", cell) for line in told]
 
 
@@ -112,12 +111,14 @@ def missing(arms: Sequence[Mapping[str, Any]]) -> bool:
     return any(not arm["answers"] and silent(arm)[0] not in Mode.__members__ for arm in arms)
 
 
-def _alike(mode: Mode) -> list[str]:
+def _alike(mode: Mode, back: bool) -> list[str]:
+    """What to say to arms that are equally far; back: there will be no carry."""
     step = STEPS[mode]
-    return [f"next: {step.do}", *([f"to stop: {step.stop}"] if step.stop else [])]
+    do = _GOING_BACK.get(mode, step.do) if back else step.do
+    return [f"next: {do}", *([f"to stop: {step.stop}"] if step.stop else [])]
 
 
-def _apart(modes: Mapping[str, Mode], gone: Mapping[str, str]) -> list[str]:
+def _apart(modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str]) -> list[str]:
     """What to say to arms that are not equally far; gone: what to do with those that hear nothing."""
     told = [f"to stop: coop stop CELL: {_STOPS}"] if any(STEPS[mode].stop for mode in modes.values()) else []
     carry = [name for name, mode in modes.items() if mode in _CARRIES]
@@ -129,7 +130,7 @@ def _apart(modes: Mapping[str, Mode], gone: Mapping[str, str]) -> list[str]:
         )
     else:
         carry = []
-    back = Mode.FAULT in modes.values() or any(text is not _WAIT for text in gone.values())
+    back = back or Mode.FAULT in modes.values() or any(text is not _WAIT for text in gone.values())
     steps = {name: (_GOING_BACK if back else _GOING_ON).get(mode, STEPS[mode].do) for name, mode in modes.items()}
     left = {name: text for name, text in {**steps, **gone}.items() if name not in carry}
     for text in dict.fromkeys(left.values()):

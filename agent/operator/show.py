@@ -45,9 +45,9 @@ def _arm(arm: Mapping[str, Any], widest: int) -> Line:
     parts = [_loop(arm["timing"]), _servos(arm["servos"]), _errors(arm["errors"])]
     if arm["answers"]:
         head, tone = arm["mode"], _TONES.get(arm["mode"], Tone.HELD)
-        if arm["same_cell"] is False:
-            parts.insert(0, "RUNS OTHER SETTINGS THAN THIS FILE")
-            tone = Tone.BAD
+        wrong = unfit(arm)
+        if wrong:
+            parts, tone = [*wrong, *parts], Tone.BAD
         if arm["reason"] and arm["mode"] not in ("READY", "TRACK"):
             parts.insert(0, arm["reason"][:WIDTH_REASON])
         if arm["start_utc_ns"] is not None and arm["mode"] == "READY":
@@ -60,6 +60,13 @@ def _arm(arm: Mapping[str, Any], widest: int) -> Line:
         last = f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago" if known else ""
         parts = [why, last, *(parts if arm["mode"] else ())]
     return Line(f"{arm['arm']:<{widest}}  {head:<5}", "; ".join(part for part in parts if part), tone)
+
+
+def unfit(arm: Mapping[str, Any]) -> list[str]:
+    """Why an arm that answers takes no start, whatever it does now."""
+    found = ["RUNS OTHER SETTINGS THAN THIS FILE"] if arm["same_cell"] is False else []
+    why = arm["no_start"]
+    return found + ([f"NO START: {why['found']}, expected {why['expected']}; {why['remedy']}"] if why else [])
 
 
 def silent(arm: Mapping[str, Any]) -> tuple[str, str]:

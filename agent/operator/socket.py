@@ -51,7 +51,9 @@ class Standing:
     arm: str
     mode: Mode = Mode.OFF
     reason: str = ""  # of a hold or a fault
-    no_start: Mapping[str, str] | None = None  # found, expected, remedy: why this agent starts nothing in any mode
+    no_start: Mapping[str, str] | None = (
+        None  # found, expected, remedy: why this agent starts nothing in any mode, nor goes to a grasp
+    )
     rest_s: float = 0.0  # of READY before a start, in which the torque at rest is looked at
     ready_ns: int = 0  # since when it is READY, on CLOCK_MONOTONIC: nobody sets that
     session: Callable[[Event], str] | None = None  # why such an event counts for nothing now; None: there is no session
@@ -158,6 +160,8 @@ class ControlSocket:
             return self._refused(
                 f"arm {self.standing.arm} in {mode.name}: {not_yet}", "one that is done", "say it again"
             )
+        if request.verb is Verb.APPROACH and self.standing.no_start is not None:  # it would grip, and then not carry
+            return self._refused(**self.standing.no_start)
         if request.verb is Verb.START:
             refused = self._no_start(request)
             if refused is not None:

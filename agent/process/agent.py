@@ -282,6 +282,7 @@ def _stand(
             "start_utc_ns": start.start_utc_ns if start else None,
             "clock_bound_s": bound_s if math.isfinite(bound_s) else None,
             "guard": None if guard is None else guard.state,
+            "no_start": None if options.lockstep else standing.no_start,
             "tick": tick_of(ring),
         }
 
@@ -289,6 +290,5 @@ def _stand(
     if guard is not None:
         standing.alone = lambda: guard.missing
     if options.driver is DriverKind.DYNAMIXEL and not options.connection.emulated:
-        session = cell.file.session
-        standing.rest_s = REST_S + (0.0 if session is None else session.take_up_s)
+        standing.rest_s = REST_S + (cell.file.session.take_up_s if cell.file.session else 0.0)
     standing.enter(Mode.READY)

@@ -269,6 +269,18 @@ def test_a_word_of_a_session_counts_in_the_modes_of_its_table(
     assert (asked, asked_for(control)) == ([Event.APPROACH], NOTHING)
 
 
+def test_an_arm_that_would_refuse_the_start_refuses_to_go_to_its_grasp(control: ControlSocket, path: Path) -> None:
+    control.standing.session = lambda _: ""
+    control.standing.no_start = {"found": "SCHED_OTHER", "expected": "SCHED_FIFO", "remedy": "give --priority"}
+    for mode, verb, taken in (
+        (Mode.REST, "approach", False), (Mode.HALT, "approach", False), (Mode.HALT, "park", True),
+        (Mode.APPROACH, "park", True), (Mode.HOLD, "lower", True), (Mode.REST, "release", True),
+    ):  # fmt: skip
+        control.standing.mode = mode
+        answer = answer_to(control, path, {"verb": verb})
+        assert (answer["ok"], answer.get("found")) == (taken, None if taken else "SCHED_OTHER")
+
+
 @pytest.mark.parametrize(("request_", "event"), [(start(), Event.STARTED), ({"verb": "release"}, Event.RELEASED)])
 def test_a_word_before_its_time_is_refused_with_the_reason_of_the_session(
     control: ControlSocket, path: Path, asked: list[Event], request_: dict[str, Any], event: Event

@@ -41,7 +41,15 @@ def test_every_word_that_is_told_next_is_taken(mode: Mode) -> None:
 
 def arm(name: str, mode: str | None, reason: str = "", **other: Any) -> dict[str, Any]:
     """One that answers, as in the document of `coop status`."""
-    own = {"answers": True, "silence": None, "alive": True, "ended": False, "failed": None, "same_cell": True}
+    own = {
+        "answers": True,
+        "silence": None,
+        "alive": True,
+        "ended": False,
+        "failed": None,
+        "same_cell": True,
+        "no_start": None,
+    }
     return {"arm": name, "mode": mode, "reason": reason, "last_row_age_s": 0.0, **own, **other}
 
 
@@ -168,6 +176,19 @@ def test_an_arm_that_is_not_there_is_told_of_as_status_does() -> None:
         "e: STARTING; no answer within 0.5 s: it loads or connects, and has made no cycle yet",
         "f: HOLD: the arms hold the object and stand; RUNS OTHER SETTINGS THAN THIS FILE; it is hot",
     ]
+
+
+NO_START = {"found": "SCHED_OTHER 0", "expected": "SCHED_FIFO on a real arm", "remedy": "give --priority 80"}
+
+
+def test_arms_that_would_refuse_the_start_are_led_back_and_say_why() -> None:
+    said = lines([arm("left", "REST", no_start=NO_START), arm("right", "REST")], "c")
+    assert said[0].endswith("touched; NO START: SCHED_OTHER 0, expected SCHED_FIFO on a real arm; give --priority 80")
+    assert said[2] == "next: coop release c ends it"
+    apart = lines([arm("left", "APPROACH", no_start=NO_START), arm("right", "REST")], "c")
+    assert apart[-2:] == [
+        "next for left: coop park c --arm left", "next for right: coop release c --arm right ends it"
+    ]  # fmt: skip
 
 
 def test_sockets_that_are_given_are_named_as_such() -> None:

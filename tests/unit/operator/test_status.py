@@ -114,7 +114,7 @@ def test_a_living_arm_is_shown_with_all_it_has(living: Arm) -> None:
     assert found == {
         "arm": "left", "answers": True, "silence": None, "alive": True, "ended": False, "failed": None,
         "mode": "HOLD", "reason": "t = 3 s: OFF_TRACK", "same_cell": True, "pid": 7, "driver": "dynamixel",
-        "real_time": None, "guard": None, "clock_bound_s": None,
+        "real_time": None, "guard": None, "no_start": None, "clock_bound_s": None,
         "start_utc_ns": 5, "last_row_age_s": pytest.approx(0.002),
         "timing": {
             "rows": 400, "without_state": 0, "rate_hz": pytest.approx(200.0), "late_p99_s": 1e-5, "late_max_s": 2e-4,
@@ -272,6 +272,17 @@ def test_an_agent_with_another_cell_file_is_called_that(home: Path) -> None:
         document = status(CELL, CLOCK, logs=())
     assert of(document, "left")["same_cell"] is False
     assert (lines(document)[0].rest, lines(document)[0].tone) == ("RUNS OTHER SETTINGS THAN THIS FILE", Tone.BAD)
+
+
+def test_an_arm_that_would_refuse_the_start_says_so_in_front(living: Arm) -> None:
+    assert living.control is not None
+    why = {"found": "SCHED_OTHER 0", "expected": "SCHED_FIFO on a real arm", "remedy": "give --priority 80"}
+    living.control.standing.details = lambda: {"no_start": why}
+    shown = lines(status(CELL, CLOCK, logs=()))[0]
+    assert "NO START: SCHED_OTHER 0, expected SCHED_FIFO on a real arm; give --priority 80; 200 Hz" in shown.rest, (
+        shown.rest
+    )
+    assert shown.tone is Tone.BAD
 
 
 def test_a_recorder_at_work_is_found_by_its_lock_which_nobody_takes(tmp_path: Path) -> None:
