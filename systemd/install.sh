@@ -1,6 +1,6 @@
 #!/bin/sh
 # Copies the units and what they need to where systemd looks; enables and starts nothing.
-#   systemd/install.sh [simulated | rehearsal] [several-hosts]     a choice that is not named is taken away again
+#   systemd/install.sh [session | simulated | rehearsal] [several-hosts]     a choice that is not named is taken away again
 #   systemd/install.sh remove                          takes everything away but what is yours: cell, keys, rules, logs
 # DESTDIR=DIR installs below DIR and touches nothing else.  Files that were filled in on the host are never replaced (a
 # copy of each as it was installed, in /etc/coop/.as-installed, tells); a drop-in of this kind that is taken away is kept
@@ -13,22 +13,29 @@ as_installed=$root/etc/coop/.as-installed
 
 for choice in "$@"; do
     case $choice in
-    simulated | rehearsal | several-hosts) ;;
+    session | simulated | rehearsal | several-hosts) ;;
     remove) [ $# = 1 ] || { echo "install.sh: found 'remove' and more, expected it alone" >&2; exit 2; } ;;
     *)
-        echo "install.sh: found '$choice', expected 'simulated', 'rehearsal', 'several-hosts' or 'remove'" >&2
+        echo "install.sh: found '$choice', expected 'session', 'simulated', 'rehearsal', 'several-hosts' or 'remove'" >&2
         exit 2
         ;;
     esac
 done
-case " $* " in
-*" simulated "*" rehearsal "* | *" rehearsal "*" simulated "*)
-    echo "install.sh: found 'simulated' and 'rehearsal', expected one of them" >&2; exit 2 ;;
-esac
+one=
+for choice in "$@"; do
+    case $choice in session | simulated | rehearsal)
+        [ "${one:-$choice}" = "$choice" ] || { echo "install.sh: found '$one' and '$choice', expected one of them" >&2; exit 2; }
+        one=$choice ;;
+    esac
+done
 if [ -z "$root" ] && [ "$(id -u)" != 0 ]; then
     echo "install.sh: found user $(id -un), expected root; run it with sudo" >&2
     exit 2
 fi
+
+take_choices() { # drop-ins in which nothing is filled in
+    for choice in session simulated rehearsal; do rm -f "$units"/coop*.service.d/50-$choice.conf; done
+}
 
 take_addresses() { # drop-ins of several-hosts; what was filled in stays beside them, where systemd does not read it
     for file in "$units"/coop*.service.d/50-several-hosts.conf; do
@@ -59,7 +66,7 @@ remove() { # units and drop-ins of ours; refuses while an arm is held
     for file in "$here"/coop*.service "$here"/coop.target "$here"/simulated/*.service; do
         rm -f "$units/$(basename "$file")"
     done
-    rm -f "$units"/coop*.service.d/50-simulated.conf "$units"/coop*.service.d/50-rehearsal.conf
+    take_choices
     take_addresses
     rm -f "$root/etc/sysusers.d/coop.conf" "$root/etc/tmpfiles.d/coop.conf"
     for folder in "$units"/coop*.service.d; do
@@ -97,13 +104,14 @@ install -D -m 644 -t "$root/etc/sysusers.d" "$here"/sysusers.d/coop.conf
 install -D -m 644 -t "$root/etc/tmpfiles.d" "$here"/tmpfiles.d/coop.conf
 once 644 "$here/udev/60-coop.rules" "$root/etc/udev/rules.d/60-coop.rules"
 
-rm -f "$units"/coop-plant.service "$units"/coop*.service.d/50-simulated.conf "$units"/coop*.service.d/50-rehearsal.conf
+rm -f "$units"/coop-plant.service
+take_choices
 for choice in "$@"; do
     for file in "$here/$choice"/*.service "$here/$choice"/*.service.d/*.conf; do
         [ -e "$file" ] || continue
         name=${file#"$here/$choice/"}
         case $choice in
-        simulated | rehearsal) install -D -m 644 "$file" "$units/$name" ;;
+        session | simulated | rehearsal) install -D -m 644 "$file" "$units/$name" ;;
         several-hosts) once 644 "$file" "$units/$name" ;; # holds this host's addresses
         esac
     done

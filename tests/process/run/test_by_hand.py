@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,10 +17,13 @@ import pytest
 import configs
 from agent.config.files import load_files
 from agent.log.read import read_log
+from agent.modes import Mode
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.command import coop
+from tests.support.documents import ROOT
+from tests.support.ports import free_port
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 HEAVY = ("pinocchio", "scipy", "matplotlib")
@@ -188,6 +193,47 @@ def test_emulated_servos_by_hand_need_no_path(session: Host) -> None:
     assert ready(emulator).strip() == f"READY ring={folder / 'plant.ring'}"
     emulator.terminate()
     ended(emulator)
+
+
+@pytest.mark.paced
+def test_the_processes_of_the_first_carry_come_together_as_its_page_starts_them(
+    session: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On emulated servos, and without the rights to real time."""
+    folder = session.folder / "session"
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    cell = session.folder / "cell.toml"
+    cell.write_text((configs.CELLS_DIR / "two_wx200.toml").read_text() + "\n[session]\n")
+    page = (ROOT / "docs/first-carry.md").read_text().split("## 5.")[1].split("## 6.")[0]
+    lines = re.findall(r"^    coop (record|telemetry|guard|agent) CELL(.*)$", page, re.MULTILINE)
+    assert [word for word, _ in lines] == ["record", "telemetry", "guard", "agent"]
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    servos = ("--driver", "dynamixel", "--emulated", "--port", str(session.folder / "ports/left"))
+    more = {"record": ("--listen", endpoint), "telemetry": ("--connect", endpoint), "guard": servos, "agent": servos}
+    ready(session.start("emulate", str(cell), "--ports", "ports", "--whole", "--no-timing"))
+    started = {}
+    for word, rest in lines:
+        own = re.sub(r" --priority \d+", "", rest).replace("$XDG_RUNTIME_DIR", str(folder)).replace("NAME", "two_wx200")
+        started[word] = session.start(word, str(cell), *own.split(), *more[word])
+        if word != "telemetry":  # which waits for a ring
+            ready(started[word])
+    assert "torque=on" in ready(started["agent"])
+    shown = coop("status", cell, "--logs", session.folder / "runs").out
+    assert re.search(r"^left +REST .*guard watches", shown), shown
+    assert f"recorder in {session.folder / 'runs'}" in shown
+    said = coop("guide", cell, "--once")
+    assert "next for left: coop release" in said.out, said
+    assert coop("release", cell, "--arm", "left").code == 0
+    for word in ("agent", "guard"):
+        ended(started[word])
+    for word in ("telemetry", "record"):
+        started[word].send_signal(signal.SIGINT)
+        started[word].communicate(timeout=90)
+    (path,) = (session.folder / "runs").glob("*.mcap")
+    rows = read_log(path).agents["left"]
+    assert set(rows["mode"]) <= {Mode.REST, Mode.OFF}
+    assert len(rows) > 0
 
 
 def test_without_a_session_folder_a_plant_starts_in_tmp(tmp_path: Path) -> None:

@@ -18,6 +18,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "simulated": ("simulated",),
     "several hosts": ("several-hosts",),
     "rehearsal": ("rehearsal",),
+    "session": ("session",),
+    "session on several hosts": ("session", "several-hosts"),
     "both": ("simulated", "several-hosts"),
 }
 CASES = [  # every unit under every choice of drop-ins

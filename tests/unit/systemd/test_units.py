@@ -255,6 +255,24 @@ def test_the_agent_of_a_rehearsal_has_a_plant_and_no_network_and_waits_for_a_per
     assert "sim" in command(read_unit(root, "coop-recorder"))
 
 
+def test_the_agent_of_a_session_begins_at_rest_and_is_else_the_same(
+    host: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    root = tmp_path_factory.mktemp("session")
+    install(root, "session")
+    real, whole_ = (read_unit(where, "coop-agent@left") for where in (host, root))
+    assert {key for key in real | whole_ if real[key] != whole_[key]} == {"Environment"}
+    assert command(whole_) == [*command(real), "--whole"]
+
+
+@pytest.mark.parametrize("two", [("simulated", "rehearsal"), ("session", "simulated"), ("rehearsal", "session")])
+def test_an_agent_is_of_one_kind(tmp_path: Path, two: tuple[str, str]) -> None:
+    words_ = ["sh", str(SYSTEMD / "install.sh"), *two]
+    done = subprocess.run(words_, env=os.environ | {"DESTDIR": str(tmp_path)}, capture_output=True, text=True)
+    assert (done.returncode, list(tmp_path.iterdir())) == (2, [])
+    assert f"found '{two[0]}' and '{two[1]}', expected one of them" in done.stderr
+
+
 def test_agents_load_beside_their_guards_and_plant_and_wait_for_both_no_longer_than_a_start_may_take(
     tmp_path: Path,
 ) -> None:
@@ -272,6 +290,7 @@ def test_a_choice_that_is_left_out_is_taken_away_again(tmp_path: Path) -> None:
     install(tmp_path / "never")
     install(tmp_path / "then", "simulated", "several-hosts")
     install(tmp_path / "then", "rehearsal")
+    install(tmp_path / "then", "session")
     install(tmp_path / "then")
     never, then = (
         {str(path.relative_to(root)) for path in (root / "etc/systemd").rglob("*") if path.is_file()}
