@@ -20,7 +20,7 @@ class Request:
     """What an operator asks an agent."""
 
     verb: Verb
-    fingerprint: str = ""  # start: of the cell that the operator means
+    fingerprint: str = ""  # of the cell that the operator means; of stop and release nobody asks for it
     start_utc_ns: int = 0  # start, lower
     prepare: bool = False  # only say whether it would be accepted; of a cancel: only forget that it was asked
     clock_bound_s: float | None = None  # start: by how much this host's clock may be off; None: not known
@@ -32,10 +32,10 @@ class Request:
         content: dict[str, Any] = {"verb": self.verb.value, "prepare": self.prepare}
         if self.token:
             content |= {"token": self.token, "asked_ns": self.asked_ns}
+        if self.fingerprint:
+            content["fingerprint"] = self.fingerprint
         if self.verb is Verb.START:
-            content |= {
-                "fingerprint": self.fingerprint, "start_utc_ns": self.start_utc_ns, "clock_bound_s": self.clock_bound_s,
-            }  # fmt: skip
+            content |= {"start_utc_ns": self.start_utc_ns, "clock_bound_s": self.clock_bound_s}
         elif self.start_utc_ns:
             content["start_utc_ns"] = self.start_utc_ns
         return json.dumps(content).encode()
@@ -51,11 +51,12 @@ class Request:
             utc_ns = int(content["start_utc_ns"] if verb is Verb.START else content.get("start_utc_ns", 0))
             if not 0 <= utc_ns <= UTC_MAX_NS:
                 raise ValueError(f"not a request: {utc_ns} ns")
+            fingerprint = str(content.get("fingerprint", ""))
             if verb is not Verb.START:
-                return cls(verb, start_utc_ns=utc_ns, prepare=prepare, token=token, asked_ns=asked_ns)
+                return cls(verb, fingerprint, utc_ns, prepare=prepare, token=token, asked_ns=asked_ns)
             bound_s = content.get("clock_bound_s")
             return cls(
-                verb, str(content.get("fingerprint", "")), utc_ns,
+                verb, fingerprint, utc_ns,
                 prepare=prepare, clock_bound_s=None if bound_s is None else float(bound_s), token=token,
                 asked_ns=asked_ns,
             )  # fmt: skip

@@ -27,6 +27,7 @@ from drivers.clock import utc_offset_ns
 
 _CLIENTS_MAX = 8
 _FORWARD = (Verb.START, Verb.APPROACH, Verb.GRASP)  # not on the way back
+_MOVES = (*_FORWARD, Verb.LOWER, Verb.PARK)  # by what the cell file says
 _SAFE_LATE = (Verb.STOP, Verb.CANCEL)  # an arm that stood still obeys them afterwards too
 
 
@@ -160,6 +161,11 @@ class ControlSocket:
             return self._refused(
                 f"arm {self.standing.arm} in {mode.name}: {not_yet}", "one that is done", "say it again"
             )
+        if request.verb in _MOVES and request.fingerprint != self._fingerprint:
+            return self._refused(
+                f"cell {request.fingerprint[:12]}", f"cell {self._fingerprint[:12]}",
+                "give the file that its agent was started with; stop and release need none",
+            )  # fmt: skip
         if request.verb is Verb.APPROACH and self.standing.no_start is not None:  # it would grip, and then not carry
             return self._refused(**self.standing.no_start)
         if request.verb is Verb.START:
@@ -175,10 +181,6 @@ class ControlSocket:
 
     def _no_start(self, request: Request) -> Reply | None:
         """Why a start is refused in a mode that allows it."""
-        if request.fingerprint != self._fingerprint:
-            return self._refused(
-                f"cell {request.fingerprint[:12]}", f"cell {self._fingerprint[:12]}", "give both the same file"
-            )
         start_ns = request.start_utc_ns - utc_offset_ns()
         if start_ns <= time.monotonic_ns():
             return self._refused("a start that has passed", "a start in the future", "start all arms again, later")

@@ -123,9 +123,7 @@ def _asked(arms: Places, request: Request, timeout_s: float, look: Callable[[], 
 def _ask_first(arms: Places, request: Request, timeout_s: float, look: Callable[[], None] | None = None) -> None:
     """Raise ControlError, nothing having been done, unless all arms would take the word."""
     heard = _asked(arms, replace(request, prepare=True), timeout_s, look)
-    refused = _unwilling(heard)
-    if request.verb is Verb.START:
-        refused |= _others(heard, request.fingerprint)
+    refused = _unwilling(heard) | _others(heard, request)
     if refused:
         agreed = {arm: arms[arm] for arm, one in heard.items() if isinstance(one, Reply) and one.ok}
         if agreed and request.token:  # the next operator need not wait until they have forgotten it
@@ -141,12 +139,13 @@ def _unwilling(heard: Mapping[str, Heard]) -> dict[str, str]:
     return {arm: _told(one) for arm, one in heard.items() if not (isinstance(one, Reply) and one.ok)}
 
 
-def _others(heard: Mapping[str, Heard], fingerprint: str) -> dict[str, str]:
-    """Those who accept a start that is not theirs: agents of another version."""
+def _others(heard: Mapping[str, Heard], request: Request) -> dict[str, str]:
+    """Those who accept a word that is not theirs: agents of another version."""
+    needs, ready = request.fingerprint, request.verb is Verb.START
     return {
-        arm: f"{one.mode} with cell {one.fingerprint[:12]}, not READY with {fingerprint[:12]}"
+        arm: f"{one.mode} with cell {one.fingerprint[:12]}, not {'READY ' if ready else ''}with {needs[:12]}"
         for arm, one in heard.items()
-        if isinstance(one, Reply) and one.ok and (one.mode, one.fingerprint) != (Mode.READY.name, fingerprint)
+        if isinstance(one, Reply) and one.ok and (one.fingerprint != needs or (ready and one.mode != Mode.READY.name))
     }
 
 
@@ -178,7 +177,7 @@ def tell_arms(cell: Cell, verb: Verb, arms: Sequence[str], sockets: Sequence[Pat
     Raises ControlError: of stop and release when one did not answer, after all others were told; of any other word
     before an arm moves, unless one refuses what it had agreed to.
     """
-    return _tell_all(places(cell, arms, sockets, host), verb, REPLY_TIMEOUT_S)
+    return _tell_all(places(cell, arms, sockets, host), Request(verb, cell.fingerprint), REPLY_TIMEOUT_S)
 
 
 def lower_arms(
@@ -191,17 +190,18 @@ def lower_arms(
 ) -> str:
     """Have the arms meant set the object down from one instant on, all of them or none.  Raises ControlError."""
     instant = _instant(Verb.LOWER, at, in_s)
-    request = Request(Verb.LOWER, start_utc_ns=int(instant.timestamp() * 1e9))
+    request = Request(Verb.LOWER, cell.fingerprint, int(instant.timestamp() * 1e9))
     _require_time(request)
     meant = places(cell, arms, sockets, host)
     start_together(meant, request)
     return f"{len(meant)} arms lower the object at {instant:%H:%M:%S.%f} UTC"
 
 
-def _tell_all(arms: Places, verb: Verb, timeout_s: float) -> str:
+def _tell_all(arms: Places, request: Request, timeout_s: float) -> str:
+    verb = request.verb
     if verb not in _REACH_WHO_LIVES:
-        _ask_first(arms, Request(verb), timeout_s)
-    heard = ask_arms(arms, Request(verb), timeout_s)
+        _ask_first(arms, request, timeout_s)
+    heard = ask_arms(arms, request, timeout_s)
     refused = _unwilling(heard)
     if refused:
         done = _done({arm: one for arm, one in heard.items() if arm not in refused}, verb)

@@ -101,7 +101,7 @@ class Person:
             self._said = verb
         meant = {arm: self._arms[arm] for arm in arms}
         if verb not in (Verb.START, Verb.LOWER):
-            ask_arms(meant, Request(verb), SILENT_S)
+            ask_arms(meant, Request(verb, self._fingerprint), SILENT_S)
             return
         request = Request(verb, self._fingerprint, time.time_ns() + IN_NS)
         with contextlib.suppress(ControlError):  # no arm moves then, and it is said again
@@ -118,4 +118,4 @@ class Person:
         for arm, mode in modes.items():
             verb = _BACK.get(mode)
             if verb is not None:
-                ask_arms({arm: self._arms[arm]}, Request(verb), SILENT_S)
+                ask_arms({arm: self._arms[arm]}, Request(verb, self._fingerprint), SILENT_S)

@@ -189,7 +189,7 @@ def test_another_cell_is_refused(control: ControlSocket, path: Path) -> None:
     answer = answer_to(control, path, start(fingerprint="cd" * 32))
     assert answer == ACCEPTED | {
         "ok": False, "found": "cell cdcdcdcdcdcd", "expected": "cell abababababab",
-        "remedy": "give both the same file",
+        "remedy": "give the file that its agent was started with; stop and release need none",
     }  # fmt: skip
     assert asked_for(control) == NOTHING
 
@@ -262,9 +262,9 @@ def test_a_word_of_a_session_counts_in_the_modes_of_its_table(
     control: ControlSocket, path: Path, asked: list[Event]
 ) -> None:
     control.standing.mode = Mode.REST
-    assert answer_to(control, path, {"verb": "approach"})["ok"] is True
+    assert answer_to(control, path, {"verb": "approach", "fingerprint": FINGERPRINT})["ok"] is True
     assert (asked, control.requests.take()) == ([Event.APPROACH], [Verb.APPROACH])
-    assert answer_to(control, path, {"verb": "grasp"})["expected"] == "another mode"
+    assert answer_to(control, path, {"verb": "grasp", "fingerprint": FINGERPRINT})["expected"] == "another mode"
     assert answer_to(control, path, {"verb": "status"})["ok"] is True
     assert (asked, asked_for(control)) == ([Event.APPROACH], NOTHING)
 
@@ -277,7 +277,7 @@ def test_an_arm_that_would_refuse_the_start_refuses_to_go_to_its_grasp(control: 
         (Mode.APPROACH, "park", True), (Mode.HOLD, "lower", True), (Mode.REST, "release", True),
     ):  # fmt: skip
         control.standing.mode = mode
-        answer = answer_to(control, path, {"verb": verb})
+        answer = answer_to(control, path, {"verb": verb, "fingerprint": FINGERPRINT})
         assert (answer["ok"], answer.get("found")) == (taken, None if taken else "SCHED_OTHER")
 
 
@@ -295,14 +295,14 @@ def test_a_lowering_at_an_instant_is_kept_until_it_is_taken_back(
     control: ControlSocket, path: Path, asked: list[Event]
 ) -> None:
     control.standing.mode = Mode.HOLD
-    assert given(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})["ok"] is True
-    assert control.requests.lower == Request(Verb.LOWER, start_utc_ns=LATER_NS, token="mine", asked_ns=HERE_NS)
+    assert given(control, path, {"verb": "lower", "fingerprint": FINGERPRINT, "start_utc_ns": LATER_NS})["ok"] is True
+    assert control.requests.lower == Request(Verb.LOWER, FINGERPRINT, LATER_NS, token="mine", asked_ns=HERE_NS)
     assert answer_to(control, path, {"verb": "cancel"})["ok"] is True
     assert (control.requests.lower, control.requests.words) == (None, [])
-    answer_to(control, path, {"verb": "lower"})
+    answer_to(control, path, {"verb": "lower", "fingerprint": FINGERPRINT})
     assert (control.requests.lower, control.requests.take()) == (None, [Verb.LOWER])
     control.standing.mode = Mode.HALT
-    answer_to(control, path, {"verb": "park", "start_utc_ns": LATER_NS})
+    answer_to(control, path, {"verb": "park", "fingerprint": FINGERPRINT, "start_utc_ns": LATER_NS})
     assert (control.requests.lower, control.requests.take()) == (None, [Verb.PARK])
     assert asked == [Event.LOWER, Event.LOWER, Event.LOWER, Event.PARK], "an instant twice: before it is given, too"
 
@@ -312,12 +312,12 @@ def test_an_arm_that_is_told_to_stop_is_not_lowered_at_an_instant_that_was_given
     control: ControlSocket, path: Path, word: str, kept: bool
 ) -> None:
     control.standing.mode, control.standing.session = Mode.HOLD, lambda _: ""
-    given(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
+    given(control, path, {"verb": "lower", "fingerprint": FINGERPRINT, "start_utc_ns": LATER_NS})
     answer_to(control, path, {"verb": word, "prepare": True})
     assert control.requests.lower is not None, "what is only asked changes nothing"
     assert answer_to(control, path, {"verb": word})["ok"] is True
     assert (control.requests.lower is not None) is kept
-    given(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
+    given(control, path, {"verb": "lower", "fingerprint": FINGERPRINT, "start_utc_ns": LATER_NS})
     assert control.requests.lower is not None, "but at one that is given afterwards"
 
 
@@ -338,11 +338,30 @@ def test_of_those_who_gave_up_waiting_only_a_stop_is_obeyed(
     """They were told that this arm does not answer, as one that stood still when they asked."""
     control.standing.mode, control.standing.session = Mode.LOWER if verb == "cancel" else Mode.HOLD, lambda _: ""
     with person(path) as own:
-        own.send(json.dumps({"verb": verb}).encode())
+        own.send(json.dumps({"verb": verb, "fingerprint": FINGERPRINT}).encode())
         if gone:
             own.close()
         control.poll()
     assert control.requests.take() == ([Verb.STOP if verb == "cancel" else Verb(verb)] if late or not gone else [])
+
+
+@pytest.mark.parametrize(
+    ("mode", "verb", "taken"),
+    [
+        (Mode.REST, "approach", False), (Mode.APPROACH, "grasp", False), (Mode.HOLD, "lower", False),
+        (Mode.RELEASE, "park", False), (Mode.HOLD, "release", True), (Mode.TRACK, "stop", True),
+        (Mode.REST, "status", True), (Mode.TRACK, "cancel", True),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("other", ["", "cd" * 32])
+def test_what_moves_an_arm_is_of_its_own_cell_file_and_what_stops_it_of_any(
+    control: ControlSocket, path: Path, mode: Mode, verb: str, taken: bool, other: str
+) -> None:
+    control.standing.mode, control.standing.session = mode, lambda _: ""
+    answer = answer_to(control, path, {"verb": verb, "fingerprint": other})
+    assert answer["ok"] is taken
+    assert taken or answer["found"] == f"cell {other[:12]}"
+    assert bool(control.requests.words) is (taken and verb != "status")
 
 
 def test_an_agent_that_has_said_nothing_yet_is_off_and_looks_at_no_torque() -> None:
@@ -363,7 +382,11 @@ def test_an_arm_that_nobody_goes_on_for_goes_back_and_not_forward(
     control: ControlSocket, path: Path, asked: list[Event], mode: Mode, verb: str, taken: bool
 ) -> None:
     control.standing.mode, control.standing.session = mode, lambda _: ""
-    request = start(token="mine", asked_ns=HERE_NS, prepare=True) if verb == "start" else {"verb": verb}
+    request = (
+        start(token="mine", asked_ns=HERE_NS, prepare=True)
+        if verb == "start"
+        else {"verb": verb, "fingerprint": FINGERPRINT}
+    )
     control.standing.alone = lambda: "the guard hangs"
     answer = answer_to(control, path, request)
     assert answer["ok"] is taken

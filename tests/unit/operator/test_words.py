@@ -22,6 +22,7 @@ from tests.support.operated_arms import (
     EVERY,
     FOREIGN,
     HUNG,
+    OTHER,
     OWN,
     PATIENT_S,
     QUICK_S,
@@ -43,7 +44,7 @@ def said(folder: Path, verb: Verb, conditions: Sequence[Condition]) -> tuple[str
             if verb is Verb.START:
                 start_together(where, Request(verb, OWN, time.time_ns() + 10**12), timeout_s)
             else:
-                words._tell_all(where, verb, timeout_s)
+                words._tell_all(where, Request(verb, OWN), timeout_s)
         except ControlError as error:
             return str(error), arms
     return "", arms
@@ -110,9 +111,9 @@ def test_a_word_of_a_session_moves_all_arms_or_none(tmp_path: Path, verb: Verb) 
         with serving(arms):
             try:
                 if verb is Verb.LOWER:
-                    start_together(where, Request(verb, start_utc_ns=time.time_ns() + 10**12), timeout_s)
+                    start_together(where, Request(verb, OWN, time.time_ns() + 10**12), timeout_s)
                 else:
-                    told = words._tell_all(where, verb, timeout_s)
+                    told = words._tell_all(where, Request(verb, OWN), timeout_s)
             except ControlError as error:
                 told = str(error)
         goes = conditions == (able, able)
@@ -123,6 +124,24 @@ def test_a_word_of_a_session_moves_all_arms_or_none(tmp_path: Path, verb: Verb) 
                 requests = arm.control.requests
                 assert (requests.lower is not None) is (goes and verb is Verb.LOWER)
                 assert requests.words == [verb] * (goes and verb is not Verb.LOWER)
+
+
+@pytest.mark.parametrize("verb", SESSION_WORDS)
+def test_a_word_that_moves_an_arm_is_refused_by_one_that_runs_another_file_and_moves_none(
+    tmp_path: Path, verb: Verb
+) -> None:
+    able = SESSION_WORDS[verb]
+    arms = cell_of(tmp_path / "cell", (able, able))
+    for arm in arms:
+        arm.session = True
+    arms[1].fingerprint = OTHER
+    where = {arm.path.stem: [arm.path] for arm in arms}
+    expected = f"b: refuses in {able.name}, found cell {OWN[:12]}, expected cell {OTHER[:12]}, give the file that"
+    say = start_together if verb is Verb.LOWER else words._tell_all
+    request = Request(verb, OWN, (time.time_ns() + 10**12) * (verb is Verb.LOWER))
+    with serving(arms), pytest.raises(ControlError, match=expected):
+        say(where, request, PATIENT_S)
+    assert [arm.heard for arm in arms] == [(False, []), (False, [])]
 
 
 def test_a_lowering_that_one_arm_does_not_take_is_taken_back(tmp_path: Path) -> None:
@@ -145,7 +164,7 @@ def test_a_lowering_that_one_arm_does_not_take_is_taken_back(tmp_path: Path) -> 
     arms[0].wakes, arms[1].wakes = first, second
     for arm in arms:
         arm.session = True
-    request = Request(Verb.LOWER, start_utc_ns=time.time_ns() + 10**12)
+    request = Request(Verb.LOWER, OWN, time.time_ns() + 10**12)
     with serving(arms), pytest.raises(ControlError, match="a: had begun, holds now; b: does not begin"):
         start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
     assert arms[0].control is not None

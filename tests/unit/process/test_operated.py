@@ -157,7 +157,7 @@ def in_one_cycle(rig: Rig, path: Path, *words: Verb) -> tuple[Event, dict[Verb, 
         people = [stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) for _ in words]
         for person, word in zip(people, words, strict=True):
             person.connect(str(path))
-            person.send(Request(word).encode())
+            person.send(Request(word, "ab" * 32).encode())
         happened = rig.operator.events()
         return happened, {word: Reply.decode(own.recv(4096)) for own, word in zip(people, words, strict=True)}
 
