@@ -175,9 +175,10 @@ def status(
         if as_json:
             typer.echo(json.dumps(document, indent=None if watch else 2, allow_nan=False))
         else:
-            if watch and sys.stdout.isatty():
+            live = watch and sys.stdout.isatty()
+            if live:
                 typer.echo(CLEAR, nl=False)
-            for line in lines(document):
+            for line in lines(document, live=live):
                 typer.echo(f"{typer.style(line.head, fg=line.tone.value)}  {line.rest}")
         if stop is None:
             raise typer.Exit(0 if all(arm["answers"] for arm in document["arms"]) else 1)

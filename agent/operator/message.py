@@ -11,6 +11,7 @@ from agent.modes import Mode
 from agent.operator.table import Verb
 
 MAX_BYTES = 4096
+REASON_MAX = 400  # characters of a reason: a driver's is some 300 with its remedy
 UTC_MAX_NS = (1 << 63) - 1
 _REFUSAL = ("found", "expected", "remedy")
 
@@ -79,10 +80,13 @@ class Reply:
     def encode(self) -> bytes:
         """As it is sent."""
         content = {
-            "ok": self.ok, "arm": self.arm, "mode": self.mode, "reason": self.reason[:400],
+            "ok": self.ok, "arm": self.arm, "mode": self.mode, "reason": self._reason(),
             "fingerprint": self.fingerprint, **self.refusal, "details": dict(self.details),
         }  # fmt: skip
         return json.dumps(content).encode()
+
+    def _reason(self) -> str:
+        return self.reason if len(self.reason) <= REASON_MAX else f"{self.reason[: REASON_MAX - 1]}…"
 
     @classmethod
     def decode(cls, data: bytes) -> Reply:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-WIDTH_REASON = 60
+WIDTH_REASON = 60  # of a table that is shown again and again; elsewhere a reason is whole, for its remedy is at its end
 HANGS_S = 1.0  # without a row, of an arm that is asked nothing
 ENDED, STARTING, HUNG, DEAD, NONE = "ENDED", "STARTING", "HUNG", "DEAD", "NONE"
 _DEAF = frozenset({"FLOAT", "STAND", "SINK"})
@@ -34,22 +34,22 @@ class Line:
     tone: Tone
 
 
-def lines(document: Mapping[str, Any]) -> list[Line]:
-    """The document of agent.operator.status as lines."""
+def lines(document: Mapping[str, Any], *, live: bool = False) -> list[Line]:
+    """The document of agent.operator.status as lines; live: reasons are cut, so that a table keeps its place."""
     arms: Sequence[Mapping[str, Any]] = document["arms"]
     widest = max(len(arm["arm"]) for arm in arms)
-    return [*(_arm(arm, widest) for arm in arms), _host(document)]
+    return [*(_arm(arm, widest, WIDTH_REASON if live else None) for arm in arms), _host(document)]
 
 
-def _arm(arm: Mapping[str, Any], widest: int) -> Line:
+def _arm(arm: Mapping[str, Any], widest: int, width: int | None) -> Line:
     parts = [_loop(arm["timing"]), _servos(arm["servos"]), _errors(arm["errors"])]
     if arm["answers"]:
         head, tone = arm["mode"], _TONES.get(arm["mode"], Tone.HELD)
-        wrong = unfit(arm)
+        wrong = [_cut(why, width) for why in unfit(arm)]
         if wrong:
             parts, tone = [*wrong, *parts], Tone.BAD
         if arm["reason"] and arm["mode"] not in ("READY", "TRACK"):
-            parts.insert(0, arm["reason"][:WIDTH_REASON])
+            parts.insert(0, _cut(arm["reason"], width))
         if arm["start_utc_ns"] is not None and arm["mode"] == "READY":
             parts.insert(0, "start given")
         parts.append(_guard(arm["guard"]))
@@ -58,8 +58,12 @@ def _arm(arm: Mapping[str, Any], widest: int) -> Line:
         known = arm["mode"] and head != arm["mode"]
         tone = Tone.BAD if head not in (arm["mode"], ENDED, STARTING) or arm["mode"] == "FAULT" else Tone.HELD
         last = f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago" if known else ""
-        parts = [why, last, *(parts if arm["mode"] else ())]
+        parts = [_cut(why, width), last, *(parts if arm["mode"] else ())]
     return Line(f"{arm['arm']:<{widest}}  {head:<5}", "; ".join(part for part in parts if part), tone)
+
+
+def _cut(text: str, width: int | None) -> str:
+    return text if width is None or len(text) <= width else f"{text[: width - 1]}…"
 
 
 def unfit(arm: Mapping[str, Any]) -> list[str]:

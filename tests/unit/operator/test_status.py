@@ -274,6 +274,18 @@ def test_an_agent_with_another_cell_file_is_called_that(home: Path) -> None:
     assert (lines(document)[0].rest, lines(document)[0].tone) == ("RUNS OTHER SETTINGS THAN THIS FILE", Tone.BAD)
 
 
+def test_a_reason_is_whole_but_where_the_table_is_shown_again_and_again(living: Arm) -> None:
+    assert living.control is not None
+    reason = "servo 3 (elbow) is at 71 °C, expected below 70 °C; let it cool, see what it carries, and lower the object"
+    living.control.standing.reason = reason
+    whole = status(CELL, CLOCK, logs=())
+    assert lines(whole)[0].rest.startswith(f"{reason}; 200 Hz")
+    assert lines(whole, live=True)[0].rest.startswith(f"{reason[:59]}…; 200 Hz")
+    assert coop("status", PAPER).out.splitlines()[0].split("HOLD   ")[1].startswith(f"{reason}; ")
+    living.control.standing.reason = reason[:60]
+    assert lines(status(CELL, CLOCK, logs=()), live=True)[0].rest.startswith(f"{reason[:60]}; 200 Hz")
+
+
 def test_an_arm_that_would_refuse_the_start_says_so_in_front(living: Arm) -> None:
     assert living.control is not None
     why = {"found": "SCHED_OTHER 0", "expected": "SCHED_FIFO on a real arm", "remedy": "give --priority 80"}

@@ -475,4 +475,4 @@ def test_the_details_of_an_answer_fit_into_it(rig: Rig) -> None:
     rig.control.standing.details = lambda: {"pid": os.getpid(), "tick": {"cycles": 10**12, "late_s": 1e-300}}
     rig.control.standing.reason = "x" * 5000
     assert len(rig.control._refused("f" * 80, "e", "r").encode()) < 4096
-    assert json.loads(rig.control._reply(ok=True).encode())["reason"] == "x" * 400
+    assert json.loads(rig.control._reply(ok=True).encode())["reason"] == "x" * 399 + "…"
