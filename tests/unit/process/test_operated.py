@@ -350,6 +350,8 @@ def test_where_nothing_can_fall_a_stop_releases(tmp_path: Path) -> None:
     with closing(rig.control):
         assert rig.hear() == Event.NONE
         assert rig.hear(Verb.STOP) == rig.hear() == Event.STOP | Event.RELEASED
+        assert rig.hear(Verb.STOP, Verb.RELEASE) == Event.STOP | Event.RELEASED
+        assert not rig.told, "no release is lost there"
 
 
 @pytest.mark.fault("C3")
