@@ -168,6 +168,11 @@ def test_what_readings_do_not_leave_by_themselves_is_not_called_settled(what: in
         size[what] = times * level[what]
         same = tuple(np.full_like(v, of) for v, of in zip(result.before, size, strict=True))
         assert replace(result, before=same, after=same).settled == settled
+    mended = tuple(np.full_like(v, 0.5 * of) for v, of in zip(result.before, level, strict=True))
+    little = tuple(0.8 * v for v in mended)
+    assert not replace(result, before=mended, after=little).settled, (
+        "what is better is written, however little it was off"
+    )
     assert result.readings == tuple(2.0 * of for of in result.grid)
     assert 1e-4 < result.grid[0] < 1.5e-4
     assert 5e-4 < result.grid[1] < 6e-4

@@ -25,6 +25,7 @@ from agent.host.clock import ClockState
 from agent.host.latency import Histogram, Latency
 from agent.host.realtime import RealTime
 from agent.verify.finding import Finding, Verdict, exit_code, worst
+from drivers.dynamixel.arm_map import ArmMap
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.dxl_rig import build
 from tests.support.servos.tool_rig import examined
@@ -193,6 +194,17 @@ def test_ports_that_are_not_there_are_problems_of_their_arms_alone(tmp_path: Pat
     wrong = findings(diagnosis, Verdict.REFUSED)
     assert [(f.where, f.what) for f in wrong] == [(a, f"port {tmp_path}/{a}") for a in ("left", "right")]
     assert diagnosis.exit_code == 2
+
+
+def test_an_arm_of_a_session_is_looked_for_at_its_rest_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[ArmMap, ArmMap]] = []
+    monkeypatch.setattr("agent.doctor.doctor.before_opening", lambda *_: [])
+    monkeypatch.setattr(
+        "agent.doctor.doctor.examine_line", lambda arm, _port, _clock, _out, started: asked.append((arm, started))
+    )
+    diagnosis_of([], "left", ports=tmp_path)
+    diagnosis_of(["session.lift_m=0.02"], "left", ports=tmp_path)
+    assert [[any(j.at_rest for j in arm.joints) for arm in maps] for maps in asked] == [[False, False], [True, False]]
 
 
 def test_only_the_named_arm_is_looked_at(tmp_path: Path) -> None:
