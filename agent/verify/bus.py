@@ -10,9 +10,7 @@ from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.dynamixel.arm_map import MapError
-from drivers.dynamixel.budget import cycle_budget
-from drivers.dynamixel.checks import FAULT_WITHIN_S
-from drivers.dynamixel.monitor import Round, round_of
+from drivers.dynamixel.budget import FAULT_WITHIN_S, Round, cycle_budget, round_of
 from drivers.interface import Vector
 
 DELAY_SHARE = 0.9  # of the computed delay that a cell may believe in: a host can be quicker than the budget

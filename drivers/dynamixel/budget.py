@@ -17,6 +17,8 @@ CYCLE_BYTES = 10  # Present Current or Load, Velocity, Position
 PLAIN_BYTES, PLAIN_BYTES_MAX = 14, 18  # the same without merged replies, where the length tells cycles apart
 HEALTH_BYTES = 6  # the longest health read: torque flag, LED, errors, watchdog, goal
 STEP_S = 0.3e-3  # control step and wake-up of the host between read and write
+FAULT_WITHIN_S = 0.05
+SLOW_EVERY = 8  # every eighth gap asks for temperature and voltage
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,3 +105,32 @@ def health_servos_per_gap(arm: ArmMap, budget: CycleBudget, *, fast: bool, link:
             break
         count += 1
     return count
+
+
+def gaps_of(questions: int) -> int:
+    """In which so many questions are asked beside those about temperature and voltage."""
+    return -(-questions * SLOW_EVERY // (SLOW_EVERY - 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """How long it takes at most until a servo that restarted or lost its torque has been asked, and what is wanted."""
+
+    seconds: float
+    remedy: str
+
+    @property
+    def quick(self) -> bool:
+        """Whether that is soon enough."""
+        return self.seconds <= FAULT_WITHIN_S
+
+
+def round_of(arm: ArmMap, *, fast: bool, link: LinkTiming | None = None) -> Round:
+    """A round of questions, one a gap, with the gap before and the one in which the last answer is taken."""
+    per_gap = health_servos_per_gap(arm, cycle_budget(arm, fast=fast, link=link), fast=fast, link=link)
+    least_hz = (gaps_of(1) + 2) / FAULT_WITHIN_S
+    remedy = "lower rate_hz, or raise the servos' Baud Rate and `baud`"
+    if arm.rate_hz < least_hz:
+        remedy = f"raise rate_hz to {least_hz:g} or more"
+    gaps = gaps_of(-(-len(arm.slots) // max(1, per_gap))) + 2
+    return Round(gaps / arm.rate_hz, remedy)

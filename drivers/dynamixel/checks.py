@@ -15,7 +15,6 @@ from drivers.dynamixel.line.group import Row
 from drivers.dynamixel.servo.codes import OperatingMode
 from drivers.dynamixel.servo.units import AngleScale, current_unit_A, ticks_rad, velocity_count
 
-FAULT_WITHIN_S = 0.05
 SILENT_LIMIT_CYCLES = 8
 NOISE_LIMIT_CYCLES = 5
 NOISE_BYTES = 128  # beyond all that was asked for; an answer that came late is there once

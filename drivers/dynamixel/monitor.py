@@ -12,9 +12,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.dynamixel.arm_map import ArmMap, ServoSlot
-from drivers.dynamixel.budget import LinkTiming, cycle_budget, group_read_s, health_servos_per_gap
-from drivers.dynamixel.checks import FAULT_WITHIN_S
+from drivers.dynamixel.arm_map import ServoSlot
+from drivers.dynamixel.budget import SLOW_EVERY, LinkTiming, gaps_of, group_read_s
 from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause, hardware_names
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import GroupRead, Row
@@ -31,7 +30,6 @@ from drivers.dynamixel.servo.table import (
 from drivers.dynamixel.servo.thermal import ThermalWatch
 from drivers.dynamixel.servo.units import volts
 
-SLOW_EVERY = 8  # every eighth gap asks for temperature and voltage
 VOLTAGE_MARGIN_V = 0.5
 WIRE_MARGIN = 1.1  # on the computed time of a question and its answer
 
@@ -80,34 +78,6 @@ class _Question:
     wire_ns: int
 
 
-def _gaps(questions: int) -> int:
-    return -(-questions * SLOW_EVERY // (SLOW_EVERY - 1))
-
-
-@dataclass(frozen=True, slots=True)
-class Round:
-    """How long it takes at most until a servo that restarted or lost its torque has been asked, and what is wanted."""
-
-    seconds: float
-    remedy: str
-
-    @property
-    def quick(self) -> bool:
-        """Whether that is soon enough."""
-        return self.seconds <= FAULT_WITHIN_S
-
-
-def round_of(arm: ArmMap, *, fast: bool, link: LinkTiming | None = None) -> Round:
-    """A round of questions, one a gap, with the gap before and the one in which the last answer is taken."""
-    per_gap = health_servos_per_gap(arm, cycle_budget(arm, fast=fast, link=link), fast=fast, link=link)
-    least_hz = (_gaps(1) + 2) / FAULT_WITHIN_S
-    remedy = "lower rate_hz, or raise the servos' Baud Rate and `baud`"
-    if arm.rate_hz < least_hz:
-        remedy = f"raise rate_hz to {least_hz:g} or more"
-    gaps = _gaps(-(-len(arm.slots) // max(1, per_gap))) + 2
-    return Round(gaps / arm.rate_hz, remedy)
-
-
 class GapMonitor:
     """Round robin over pages and groups of servos, one question per gap; a doubt is asked about again at once.
 
@@ -151,7 +121,7 @@ class GapMonitor:
     @property
     def round_gaps(self) -> int:
         """Gaps until every torque flag and goal has been read once."""
-        return _gaps(len(self._often))
+        return gaps_of(len(self._often))
 
     @property
     def answer_bytes(self) -> int:

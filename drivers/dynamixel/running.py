@@ -10,8 +10,8 @@ import numpy as np
 
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.bringup import effort_register, efforts_at_rest, goal_limits
-from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
-from drivers.dynamixel.checks import FAULT_WITHIN_S, NoiseCheck
+from drivers.dynamixel.budget import FAULT_WITHIN_S, LinkTiming, cycle_budget, health_servos_per_gap, round_of
+from drivers.dynamixel.checks import NoiseCheck
 from drivers.dynamixel.cycle import CycleReader, CycleRows
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerServo
@@ -21,7 +21,7 @@ from drivers.dynamixel.interpret import Interpreter, Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.line.group import GroupWrite, Row
 from drivers.dynamixel.line.port import Now
-from drivers.dynamixel.monitor import GapMonitor, ServoRecord, round_of
+from drivers.dynamixel.monitor import GapMonitor, ServoRecord
 from drivers.dynamixel.servo.codes import ALERT_BIT, HardwareError
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.judge import MARK, MODEL, broken

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from drivers.dynamixel.arm_map import ServoSlot
+from drivers.dynamixel.budget import FAULT_WITHIN_S
 from drivers.dynamixel.checks import (
-    FAULT_WITHIN_S,
     JUMP_RAD,
     NOISE_BYTES,
     NOISE_LIMIT_CYCLES,

@@ -15,8 +15,8 @@ from agent.config.cell import Cell, ConfigError, cell_from_toml, load_cell
 from agent.config.servo_map import arm_map
 from agent.verify.bus import bus_rates
 from agent.verify.check import Verdict, examine
+from drivers.dynamixel.budget import round_of
 from drivers.dynamixel.errors import DriverError
-from drivers.dynamixel.monitor import round_of
 from drivers.dynamixel.pace import PaceError, check_rate
 from tests.support.starts import start_joints
 
