@@ -262,23 +262,20 @@ def recover(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="MCAP log that was not finished.", show_default=False)],
     force: Annotated[bool, typer.Option("--force", help="Also one that is finished, and damaged.")] = False,
 ) -> None:
-    """Mend a log that a crash or a power cut left unfinished, and verify the result; a damaged original is kept."""
+    """Mend a log that a crash or a power cut left unfinished, keep a damaged original, and verify the result."""
     from agent.log.recover import recover as mend
 
     done = mend(log, force=force)
     for problem in done.problems:
         note(f"{log}: {problem}")
-    if done.repaired:
-        typer.echo(f"{log}: repaired, {done.messages} messages, read back")
-        if done.original is not None:
-            typer.echo(f"{log}: the damaged original is kept as {done.original}")
+    become = (
+        "repaired" if done.repaired else "finished, and damaged: left as it is" if done.damaged else "nothing to repair"
+    )
+    typer.echo(f"{log}: {become}, {done.messages} messages, read back")
+    if done.original is not None:
+        typer.echo(f"{log}: the damaged original is kept as {done.original}")
     elif done.damaged:
-        typer.echo(
-            f"{log}: finished, and damaged: left as it is, {done.messages} messages can be read; with --force they "
-            "become a new log, and the original is kept beside it"
-        )
-    else:
-        typer.echo(f"{log}: nothing to repair, {done.messages} messages, read back")
+        note(f"{log}: --force makes a new log of what can be read, and keeps the original beside it")
     if done.damaged:
         raise typer.Exit(1)
 
