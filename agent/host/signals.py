@@ -10,6 +10,10 @@ from contextlib import contextmanager
 from types import FrameType
 
 PR_SET_PDEATHSIG = 1
+_WHY = {
+    signal.SIGINT: "Ctrl-C", signal.SIGTERM: "it was told to end", signal.SIGTSTP: "Ctrl-Z",
+    signal.SIGHUP: "its terminal or connection is gone",
+}  # fmt: skip
 OF_BACKGROUND = (signal.SIGTTOU, signal.SIGTTIN)  # of who writes to, or reads, a terminal that is not his: suspend him
 
 
@@ -24,6 +28,7 @@ class StopFlag:
         """suspends: Ctrl-Z and a terminal may suspend this process, as any that has no arm to watch over."""
         self.stopped = False
         self.stops = 0  # how often it was asked for
+        self.why = ""  # by which signal it was asked for last
         self.released = False
         self._interrupts = False
         signal.signal(signal.SIGTERM, self._stop)
@@ -37,7 +42,8 @@ class StopFlag:
         signal.signal(signal.SIGUSR1, self._release)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+        del frame
+        self.why = f"{signal.Signals(number).name}: {_WHY[signal.Signals(number)]}"
         self.stopped = True
         self.stops += 1
         if self._interrupts:

@@ -15,6 +15,7 @@ from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import EVENT_OF
 from agent.process.clocked import ClockWatch
+from agent.session import way_back
 from agent.session_modes import next_in_session
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
@@ -61,6 +62,7 @@ class Operator:
         self.watched = ""  # what that said in the last cycle
         self._session = session
         self._stopped = False
+        self._signals_heard, self._signal = 0, ""  # of stops; which was the last, since the mode changed
         self._stops_said = 0  # in a session: signals, and holds of this host
         self._trouble, self._holds = "", 0  # of this host: why the arm holds since the last start, and how often it did
         self._start: Request | None = None
@@ -92,6 +94,7 @@ class Operator:
         watched = self.watched = self._watch()
         if not (happened or released or watched or self._stopped or self._signals.stopped):
             return happened  # of nearly every cycle; what follows takes 5 µs
+        self._hear_signals()
         asked = Event.STOP in happened and not self._session
         self._stopped = self._stopped or asked or self._signals.stopped
         released = released or Event.RELEASED in happened
@@ -111,6 +114,12 @@ class Operator:
         if released or (self._stopped and self._drops_on_stop):
             happened |= Event.RELEASED
         return happened
+
+    def _hear_signals(self) -> None:
+        """Keep which signal it was, as the reason of the hold that follows, and tell of it."""
+        if self._signals.stops != self._signals_heard:
+            self._signals_heard, self._signal = self._signals.stops, self._signals.why
+            self._tell(Level.INFO, f"asked to stop: {self._signal}")
 
     def _outdoes(self, others: Event) -> bool:
         """Whether a session goes another way by these events than by a release alone, which has been answered `ok`."""
@@ -175,12 +184,14 @@ class Operator:
     def mode(self, mode: Mode) -> None:
         """The arm's mode has changed."""
         self._standing.enter(mode)
+        signal, self._signal = self._signal, ""
         if self._session:
-            if mode is not Mode.HOLD and mode is not Mode.HALT:
-                self._standing.reason = ""
+            stands = mode is Mode.HOLD or mode is Mode.HALT
+            if signal or not stands:
+                self._standing.reason = way_back(mode, signal) if stands else ""
             return
         if mode is Mode.HOLD:
-            asked = self._trouble or "it was asked to"
+            asked = self._trouble or signal or "it was asked to"
             self._standing.reason = asked if self._stopped else "the trajectory has ended"
 
     def trouble(self, reason: str) -> None:

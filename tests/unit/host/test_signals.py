@@ -34,6 +34,7 @@ def test_each_request_to_stop_is_counted(number: signal.Signals) -> None:
     signal.raise_signal(number)
     signal.raise_signal(number)
     assert (flag(), flag.stops, flag.released) == (True, 2, False)
+    assert flag.why.startswith(f"{number.name}: "), "and why is told"
 
 
 @pytest.mark.usefixtures("handlers")

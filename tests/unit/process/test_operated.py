@@ -57,6 +57,7 @@ class Signals:
     stopped = False
     released = False
     stops = 0
+    why = ""
 
 
 class Rig:
@@ -94,6 +95,33 @@ def test_a_stop_is_latched_and_a_release_counts_once(rig: Rig) -> None:
     assert rig.hear() == Event.STOP
     assert rig.hear(Verb.RELEASE) == Event.STOP | Event.RELEASED
     assert rig.hear() == Event.STOP
+
+
+SIGHUP = "SIGHUP: its terminal or connection is gone"
+
+
+@pytest.mark.parametrize(
+    ("session", "mode", "reason"),
+    [
+        (False, Mode.HOLD, SIGHUP),
+        (True, Mode.HOLD, f"{SIGHUP}; way back: `coop lower`, `coop release`, `coop park`"),
+        (True, Mode.HALT, f"{SIGHUP}; way back: `coop park`"),
+        (True, Mode.APPROACH, ""),  # said at rest, where it stops nothing
+    ],
+)
+def test_a_hold_by_a_signal_says_which(tmp_path: Path, session: bool, mode: Mode, reason: str) -> None:
+    rig = Rig(tmp_path / "left.control", session=session)
+    with closing(rig.control):
+        rig.signals.stopped, rig.signals.stops, rig.signals.why = True, 1, SIGHUP
+        for _ in range(2):
+            rig.hear()
+        rig.operator.mode(mode)
+        assert rig.control.standing.reason == reason
+        assert rig.told == [(Level.INFO, f"asked to stop: {SIGHUP}", {})]
+        if session:
+            rig.operator.mode(Mode.PARK)
+            rig.operator.mode(Mode.HALT)
+            assert rig.control.standing.reason == "", "a later stop is another's"
 
 
 def test_signals_say_the_same(rig: Rig) -> None:
@@ -287,12 +315,13 @@ def test_in_a_session_every_stop_is_said_once_for_the_arm_goes_on_from_it(tmp_pa
     with closing(rig.control):
         assert (rig.hear(Verb.STOP), rig.hear()) == (Event.STOP, Event.NONE)
         for _ in range(2):  # a second signal stops the way back
-            rig.signals.stopped, rig.signals.stops = True, rig.signals.stops + 1
+            rig.signals.stopped, rig.signals.stops, rig.signals.why = True, rig.signals.stops + 1, "SIGINT: Ctrl-C"
             assert (rig.hear(), rig.hear()) == (Event.STOP, Event.NONE)
         for _ in range(2):
             rig.operator.hold("the clock may be off by 5.1 ms")
         assert (rig.hear(), rig.hear()) == (Event.STOP, Event.NONE)
-        assert [text for _, text, _ in rig.told] == ["holds: the clock may be off by 5.1 ms"]
+        asked = ["asked to stop: SIGINT: Ctrl-C"] * 2
+        assert [text for _, text, _ in rig.told] == [*asked, "holds: the clock may be off by 5.1 ms"]
 
 
 def test_in_a_session_the_clock_holds_the_next_carry_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
