@@ -16,6 +16,7 @@ from agent.host.child import Child, ChildFailed
 from agent.host.paths import control_path, guard_path, make_runtime_dir
 from agent.modes import TABLE, Mode
 from agent.operator.ask import ask_arms
+from agent.operator.error import ControlError
 from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
 from agent.process.build import Connection, port_of
@@ -211,7 +212,12 @@ class RealChildren(Children):
         self._real.beside.tell(
             f"arms {', '.join(self._names)} MOVE {START_LOOP_IN_NS * 1e-9:g} s after torque comes on; Ctrl-C holds them"
         )
-        super()._start_together(progress)
+        try:
+            super()._start_together(progress)
+        except ControlError:  # nobody is started; an arm that holds since the last look is why
+            time.sleep(ASK_EVERY_S)
+            self._heed()
+            raise
 
     def _heed(self) -> None:
         """Raise ChildFailed, too, where an arm that has torque holds by itself, or a process has ended: none starts."""

@@ -290,6 +290,30 @@ def test_an_arm_that_holds_before_all_are_started_is_told_of_at_once_and_none_is
     assert not started
 
 
+@pytest.mark.parametrize("holds", [True, False])
+def test_a_start_that_an_arm_refuses_because_it_holds_by_then_names_the_hold(
+    holds: bool, tmp_path: Path, started: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """holds: else no arm does, and what refused the start is what is told."""
+    refused: list[object] = []
+
+    def start_together(*_: object, look: object) -> None:
+        refused.append(look)
+        raise ControlError("start", found="left refuses", expected="every arm READY", remedy="see their logs")
+
+    def asked(whom: dict[str, object], request: Request, *_: object) -> dict[str, Reply]:
+        return {"left": HOLDS} if refused and holds and request.verb is Verb.STATUS else {}
+
+    made = Starting(tmp_path, READY_FOR_ALL)
+    monkeypatch.setattr(real_arms, "ask_arms", asked)
+    monkeypatch.setattr(real_arms, "ASK_EVERY_S", 0.05)
+    monkeypatch.setattr(words, "start_together", start_together)
+    kind, text = (ChildFailed, "arm left: found it holds") if holds else (ControlError, "left refuses")
+    with pytest.raises(kind, match=text):
+        made.start(lambda: False, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+    assert refused
+
+
 @pytest.mark.parametrize("ended", ["arm-left", "guard-left"])
 def test_a_process_that_ends_before_all_arms_are_started_ends_the_start(
     ended: str, tmp_path: Path, started: list[object]
