@@ -155,7 +155,8 @@ def _told(heard: Heard) -> str:
     if heard.ok:
         return f"{heard.mode} {heard.reason}".strip()
     refusal = heard.refusal
-    return f"refuses in {heard.mode}, found {refusal['found']}, expected {refusal['expected']}, {refusal['remedy']}"
+    found = refusal["found"].removeprefix(f"arm {heard.arm} in {heard.mode}: ")  # who, and in which mode, is said here
+    return f"refuses in {heard.mode}: {found}, expected {refusal['expected']}, {refusal['remedy']}"
 
 
 def _outcome(heard: Mapping[str, Heard]) -> str:

@@ -142,8 +142,8 @@ def test_who_comes_second_is_refused_in_one_line_and_the_first_start_counts(tmp_
         heard = words.ask_arms(where, first, PATIENT_S)
         start_together(where, second, PATIENT_S)
         assert all(isinstance(reply, Reply) and reply.ok for reply in heard.values())
-    found = "found another instant that is just being given, expected one operator at a time, say it again"
-    one = f"refuses in READY, {found}"
+    found = "another instant that is just being given, expected one operator at a time, say it again"
+    one = f"refuses in READY: {found}"
     assert f"found a: {one}; b: {one}" in str(raised.value)
     assert "no arm has been told" in str(raised.value)
     assert "\n" not in str(raised.value)

@@ -126,6 +126,17 @@ def test_a_word_of_a_session_moves_all_arms_or_none(tmp_path: Path, verb: Verb) 
                 assert requests.words == [verb] * (goes and verb is not Verb.LOWER)
 
 
+def test_a_refused_word_is_one_sentence_of_each_arm(tmp_path: Path) -> None:
+    arms = cell_of(tmp_path / "cell", (Mode.REST,))
+    arms[0].session = True
+    with serving(arms), pytest.raises(ControlError) as told:
+        words._tell_all({"left": [arms[0].path]}, Request(Verb.GRASP, OWN), PATIENT_S)
+    assert str(told.value).startswith(
+        "grasp: found left: refuses in REST: it stands at its rest, expected another mode, from here: "
+        "`coop release` or `coop approach`, expected every arm of this host at its grasp; no arm has been told; "
+    )
+
+
 @pytest.mark.parametrize("verb", SESSION_WORDS)
 def test_a_word_that_moves_an_arm_is_refused_by_one_that_runs_another_file_and_moves_none(
     tmp_path: Path, verb: Verb
@@ -136,7 +147,7 @@ def test_a_word_that_moves_an_arm_is_refused_by_one_that_runs_another_file_and_m
         arm.session = True
     arms[1].fingerprint = OTHER
     where = {arm.path.stem: [arm.path] for arm in arms}
-    expected = f"b: refuses in {able.name}, found cell {OWN[:12]}, expected cell {OTHER[:12]}, give the file that"
+    expected = f"b: refuses in {able.name}: cell {OWN[:12]}, expected cell {OTHER[:12]}, give the file that"
     say = start_together if verb is Verb.LOWER else words._tell_all
     request = Request(verb, OWN, (time.time_ns() + 10**12) * (verb is Verb.LOWER))
     with serving(arms), pytest.raises(ControlError, match=expected):
