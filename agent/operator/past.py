@@ -39,6 +39,7 @@ class Past:
     trouble: Event | None  # the last event that warns or is worse
     ended: bool = False  # in order, by whoever wrote it: the servos were told to let go before
     failed: str | None = None  # why whoever wrote it ended, where that was by an error
+    failed_utc_ns: int | None = None  # when it told so
 
     @property
     def mode(self) -> str | None:
@@ -141,8 +142,11 @@ def _look(ring: Path, rate_hz: float) -> Past | None:
     rows = AGENT_STATE.decode(block.payload)
     health, trouble, error = _texts(ring)
     over = finished and not alive
-    failed = error.text if over and error is not None else None
-    return Past(alive, rows, health, trouble, ended=over and failed is None, failed=failed)
+    failed = error if over else None
+    return Past(
+        alive, rows, health, trouble, ended=over and failed is None, failed=failed.text if failed else None,
+        failed_utc_ns=failed.utc_ns if failed else None,
+    )  # fmt: skip
 
 
 def _texts(ring: Path) -> tuple[Health | None, Event | None, Event | None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import Enum
 from typing import Any
 
@@ -82,7 +83,10 @@ def silent(arm: Mapping[str, Any]) -> tuple[str, str]:
     if arm["alive"] and not arm["mode"]:
         return STARTING, f"{arm['silence']}: it loads or connects, and has made no cycle yet"
     head = HUNG if arm["alive"] else DEAD if arm["mode"] else NONE
-    return head, arm["failed"] or arm["silence"]
+    if not arm["failed"]:
+        return head, arm["silence"]
+    # an agent that is being started in the place of that one has no ring yet
+    return head, f"{arm['failed']} (at {datetime.fromtimestamp(arm['failed_utc_ns'] // 10**9, UTC):%F %T} UTC)"
 
 
 def _loop(timing: Mapping[str, Any] | None) -> str:

@@ -81,6 +81,7 @@ def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, age_s: float | 
         "alive": silence is None or bool(past and past.written_by_the_living),
         "ended": silence is not None and bool(past and past.ended),
         "failed": past.failed if silence is not None and past else None,
+        "failed_utc_ns": past.failed_utc_ns if silence is not None and past else None,
         "mode": heard.mode if not isinstance(heard, Silence) else past.mode if past else None,
         "reason": heard.reason if not isinstance(heard, Silence) else "",
         "same_cell": None if isinstance(heard, Silence) else heard.fingerprint == cell.fingerprint,

@@ -55,7 +55,13 @@ def arm(name: str, mode: str | None, reason: str = "", **other: Any) -> dict[str
 
 def silent(name: str, mode: str | None, **other: Any) -> dict[str, Any]:
     """One that does not, dead unless `other` says more."""
-    gone = {"answers": False, "silence": "No such file or directory", "alive": False, "last_row_age_s": 3.0}
+    gone = {
+        "answers": False,
+        "silence": "No such file or directory",
+        "alive": False,
+        "last_row_age_s": 3.0,
+        "failed_utc_ns": 0,
+    }
     return arm(name, mode, **(gone | {"same_cell": None} | other))
 
 
@@ -169,7 +175,7 @@ def test_an_arm_that_is_not_there_is_told_of_as_status_does() -> None:
         silent("e", None, alive=True, silence="no answer within 0.5 s"), arm("f", "HOLD", "it is hot", same_cell=False),
     ]  # fmt: skip
     assert lines(found, "cell")[:6] == [
-        "a: DEAD; arm a: found no answer, expected a fresh state; last TRACK",
+        "a: DEAD; arm a: found no answer, expected a fresh state (at 1970-01-01 00:00:00 UTC); last TRACK",
         "b: ENDED; last OFF",
         "c: NONE; No such file or directory",
         "d: HUNG; no answer within 0.5 s; last HOLD",

@@ -113,6 +113,7 @@ def test_a_living_arm_is_shown_with_all_it_has(living: Arm) -> None:
     found = of(status(CELL, CLOCK, logs=()), "left")
     assert found == {
         "arm": "left", "answers": True, "silence": None, "alive": True, "ended": False, "failed": None,
+        "failed_utc_ns": None,
         "mode": "HOLD", "reason": "t = 3 s: OFF_TRACK", "same_cell": True, "pid": 7, "driver": "dynamixel",
         "real_time": None, "guard": None, "no_start": None, "clock_bound_s": None,
         "start_utc_ns": 5, "last_row_age_s": pytest.approx(0.002),
@@ -188,7 +189,8 @@ def test_an_arm_whose_agent_ended_by_an_error_has_not_ended_in_order_and_says_wh
     line = lines(document)[1]
     assert line.head.split()[-1] == ("DEAD" if failed else "ENDED")
     assert line.tone is (Tone.BAD if failed else Tone.HELD)
-    assert line.rest.startswith(f"{LOST[1]}; last TRACK, 3.2 s ago" if failed else "last TRACK, 3.2 s ago")
+    why = f"{LOST[1]} (at 2023-11-14 22:13:19 UTC); " if failed else ""
+    assert line.rest.startswith(f"{why}last TRACK, 3.2 s ago")
 
 
 @pytest.mark.parametrize("step_s", [3600, -3600])
@@ -239,7 +241,7 @@ def test_the_guide_asks_the_same_and_says_by_its_exit_code_that_an_arm_is_missin
     assert done.code == 1
     assert done.out.splitlines()[:2] == [
         "left: HOLD: the arms hold the object and stand; t = 3 s: OFF_TRACK",
-        "right: DEAD; arm right: found no answer; last TRACK",
+        "right: DEAD; arm right: found no answer (at 2023-11-14 22:13:19 UTC); last TRACK",
     ]
     with serving([Arm(home / "right.control", Mode.REST, CELL.fingerprint, session=True)]):
         assert coop("guide", PAPER, "--once").code == 0
