@@ -7,9 +7,9 @@ trajectory's speed times the skew of the starts.  Its law pulls with the stiffne
     x = −(Σ S)⁻¹ Σ S δ,     F_i = −S_i e_i + J⁻ᵀ Δτ_i,     w_i = F_i − S_i (Σ S)⁻¹ Σ F
 
 is the wrench beyond its share of the load; with two equal arms and Δτ = 0 it is ½ S δ.  Δτ_i: error of the torque
-constants times the torque that holds arm and share, error of the arm's weight, and what friction is beside that of the
-feed-forward.  Arms that align themselves give way to the anchor: of their pose errors the dead zone is left, and of
-what lies between an arm and the anchor what is beyond the largest shift.
+constants times the torque that holds arm and share, error of the arm's weight, and what friction of joints at rest,
+breakaway and load in it, is beside that of the feed-forward.  Arms that align themselves give way to the anchor: of
+their pose errors the dead zone is left, of what lies between an arm and the anchor what is beyond the largest shift.
 
 What is given is the quadratic sum over all errors, each at its stated bound, a vector's direction at random.  Soft pads
 make less of it.
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config.cell import Arm, Cell
+from agent.config.friction import at_rest_Nm
 from agent.control.models import ArmModel, Matrix
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.loop import laws
@@ -151,8 +152,8 @@ def _errors(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vect
     held = k.g + J.T @ (offline.load_share * weight)
     low, high = stated.friction
     unknown = max(high - 1.0, 1.0 - low) if offline.friction is not None else high
-    coulomb = np.array([s.coulomb_Nm.value for s in arm.servos])
-    torques = [stated.torque_constant * np.diag(held), stated.masses * k.g[:, None], unknown * np.diag(coulomb)]
+    friction = [at_rest_Nm(servo, tau) for servo, tau in zip(arm.servos, held.tolist(), strict=True)]
+    torques = [stated.torque_constant * np.diag(held), stated.masses * k.g[:, None], unknown * np.diag(friction)]
     return _Errors(np.concatenate(off, axis=1), J_inv.T @ np.concatenate(torques, axis=1))
 
 

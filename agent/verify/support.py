@@ -11,8 +11,9 @@ friction feed-forward, and the object sags by the x at which, torque bounds and 
 
 f the friction of all joints: when any friction within its bounds balances the weights, it does, as in the limit
 analysis of plastic bodies.  HELD is what sags by at most `HELD_SAG_M` with all weights at their largest and friction at
-its least, as `[tolerance]` states them; NOT_HELD is what sags by more the other way round, joints at rest resisting by
-more than moving ones; in between either may happen.
+its least, as `[tolerance]` states them, breakaway not counted; NOT_HELD is what sags by more the other way round,
+joints at rest resisting by more than moving ones; in between either may happen.  Friction that grows with load is that
+of the torque that holds arm and share (the motors of a limp arm give none), for NOT_HELD that of the largest torque.
 
 A locked arm carries itself; the others pull at it by what the desired pose moves on until they notice.  An arm that
 holds gives way by its own stiffness, and where it braces itself (agent.control.brace) by so much less as its pull back
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,12 +32,11 @@ import numpy as np
 from agent.config import noticing
 from agent.config.cell import Arm, Cell
 from agent.control.errors import HALF_ANGLE
-from agent.control.friction import Friction
 from agent.control.models import ArmModel, Matrix
+from agent.verify.rubbing import Rubbing
 from drivers.interface import Vector
 
 HELD_SAG_M = 0.02
-BREAKAWAY = 1.5  # times Coulomb friction, what a joint at rest may resist
 NOTICED_S, NOTICED_MORE_S = 0.1, 0.5  # until a locked arm is noticed by one other, by more
 STEPS = 200  # to the balance, at the most
 STILL_RAD_PER_S, STILL_RAD = 1e-6, 1e-9
@@ -85,9 +85,10 @@ class _Arm:
     S: Matrix  # (m, m) stiffness of its law
     KH: Matrix  # (m, m)
     load: Vector  # (m,) c_i W_O
+    held: Matrix  # (T, n) what holds arm and share, which presses on its gears
     stall: Vector  # (n,)
-    coulomb: Vector  # (n,)
-    fed: Friction | None  # of the feed-forward
+    rub: Rubbing
+    smooth_rad_per_s: float | None  # of the friction feed-forward; None: there is none
 
     def wrench(self, tau: Matrix) -> Matrix:
         """J⁻ᵀ τ, (T, m) of joint torques (T, n)."""
@@ -97,20 +98,21 @@ class _Arm:
         """τ (T, n) in HOLD with the object at x (T, m), and a slope (T, n, m) of −τ over x with which steps to where it
         is balanced do not overshoot: of the smooth sign not its own slope, but that of the line to the origin."""
         tau, slope = self.g + _apply(self.Jt, self.load - x @ self.S.T), self.Jt @ self.S
-        if self.fed is None:
+        if self.smooth_rad_per_s is None:
             return tau, slope
         dq_ref = -_apply(self.J_inv, x @ self.KH.T)
         turning = np.where(np.abs(dq_ref) < STILL_RAD_PER_S, STILL_RAD_PER_S, dq_ref)
-        at_rest = np.array([joint.coulomb_Nm + joint.breakaway_Nm for joint in self.fed.joints])
-        steep = at_rest * np.tanh(turning / self.fed.smooth_rad_per_s) / turning
-        steep = steep + np.array([joint.viscous_Nm_s_per_rad for joint in self.fed.joints])
+        sign, viscous = np.tanh(turning / self.smooth_rad_per_s), self.rub.viscous
+        steep = self.rub.fed(self.held, sign) * sign / turning
+        steep = steep + viscous
         return tau + steep * dq_ref, slope + steep[..., None] * (self.J_inv @ self.KH)
 
-    def rubs(self, x: Matrix, factor: float) -> tuple[Matrix, Matrix]:
-        """Friction (T, n) of joints that the object's way x (T, m) took along, and a slope as of `law`."""
+    def rubs(self, x: Matrix, bound: Matrix) -> tuple[Matrix, Matrix]:
+        """Friction (T, n), up to its bound (T, n), of joints that the object's way x (T, m) took along, and a slope as
+        of `law`."""
         turned = _apply(self.J_inv, x)
         turned = np.where(np.abs(turned) < STILL_RAD, STILL_RAD, turned)
-        steep = factor * self.coulomb * np.tanh(turned / PRESLIDING_RAD) / turned
+        steep = bound * np.tanh(turned / PRESLIDING_RAD) / turned
         return -steep * turned, steep[..., None] * self.J_inv
 
 
@@ -121,6 +123,8 @@ class _Reality:
     arm: float
     object: float
     friction: float
+    resists: Callable[[Rubbing, Matrix], Matrix]  # what joints do while their motors give so much, as the files say
+    pressed: float = 0.0  # of stall, what motors may give where that is more than what holds arm and share
 
 
 class Statics:
@@ -143,16 +147,16 @@ class Statics:
         # an arm's weight against its torque: masses and torque constants are independent
         off = math.hypot(tolerance.masses, tolerance.torque_constant)
         low, high = tolerance.friction
-        self._worst = _Reality(1.0 + off, 1.0 + tolerance.object, low)
-        self._best = _Reality(1.0 - off, 1.0 - tolerance.object, high * BREAKAWAY)
+        self._worst = _Reality(1.0 + off, 1.0 + tolerance.object, low, Rubbing.moving)
+        self._best = _Reality(1.0 - off, 1.0 - tolerance.object, high, Rubbing.at_most, self._bound)
 
     def without(self, failed: int) -> Support:
         """What the others bear when this arm fails; there must be others."""
         others = [i for i in range(len(self._arms)) if i != failed]
-        x = self._sag(failed, others, _Reality(1.0, 1.0, 0.0), math.inf)
+        x = self._sag(failed, others, _Reality(1.0, 1.0, 0.0, Rubbing.moving), math.inf)
         worst, expected, best = (
             self._size(self._sag(failed, others, reality, self._bound))
-            for reality in (self._worst, _Reality(1.0, 1.0, 1.0), self._best)
+            for reality in (self._worst, _Reality(1.0, 1.0, 1.0, Rubbing.at_rest), self._best)
         )
         fate = Fate.HELD if worst <= HELD_SAG_M else Fate.MAY_FALL
         if min(worst, expected, best) > HELD_SAG_M:
@@ -177,9 +181,16 @@ class Statics:
         need: Matrix = reality.object * self._weight + reality.arm * arm.wrench(arm.g)
         return need
 
+    def _rubbing(self, i: int, reality: _Reality, *, limp: bool) -> Matrix:
+        """Friction (T, n) up to which joints of arm i resist in this reality; motors of a limp one give nothing."""
+        arm = self._arms[i]
+        tau = np.zeros_like(arm.held) if limp else np.maximum(np.abs(arm.held), reality.pressed * arm.stall)
+        return reality.friction * reality.resists(arm.rub, tau)
+
     def _sag(self, failed: int, others: Sequence[int], reality: _Reality, bound: float) -> Matrix:
         """x (T, m) in this reality, with torques up to a part of stall; infinite where there is none."""
         need = self._need(failed, reality)
+        rubbing = {i: self._rubbing(i, reality, limp=i == failed) for i in (failed, *others)}
         x: Matrix = np.zeros_like(need)
         for _ in range(STEPS):
             missing, slope = need.copy(), np.tile(LEAST_STIFFNESS * np.eye(need.shape[-1]), (len(need), 1, 1))
@@ -192,7 +203,7 @@ class Statics:
                     tau = given - reality.arm * arm.g
                     still = wanted == 0.0  # far from its bound: the whole slope
                     steep = np.where(still, 1.0, given / np.where(still, 1.0, wanted))[..., None] * steep
-                stuck, resists = arm.rubs(x, reality.friction)
+                stuck, resists = arm.rubs(x, rubbing[i])
                 missing -= arm.wrench(tau + stuck)
                 slope += np.swapaxes(arm.J_inv, -1, -2) @ (steep + resists)
             if float(np.abs(missing).max()) < BALANCED:
@@ -227,16 +238,19 @@ def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matr
     Jt = np.swapaxes(J, -1, -2)
     KH = P @ np.diag(np.array([*gains.k_p, *gains.k_eps]) * HALF_ANGLE) @ P.T
     S = P @ np.diag(gains.k_v) @ P.T @ KH + offline.load_share * P @ np.diag(HALF_ANGLE) @ P.T
+    g = np.array([model.evaluate(q, np.zeros(model.n)).g for q in along])
+    load = offline.load_share * weight
     return _Arm(
         Jt=Jt,
         J_inv=B_inv @ Jt @ np.linalg.inv(J @ B_inv @ Jt),
-        g=np.array([model.evaluate(q, np.zeros(model.n)).g for q in along]),
+        g=g,
         S=S,
         KH=KH,
-        load=offline.load_share * weight,
+        load=load,
+        held=g + _apply(Jt, np.broadcast_to(load, (len(g), len(load)))),
         stall=arm.tau_stall_Nm,
-        coulomb=np.array([s.coulomb_Nm.value for s in arm.servos]),
-        fed=offline.friction,
+        rub=Rubbing.of(arm.servos),
+        smooth_rad_per_s=None if offline.friction is None else offline.friction.smooth_rad_per_s,
     )
 
 

@@ -23,6 +23,7 @@ from agent.verify.disagreement import (
 )
 from agent.verify.finding import Finding, Verdict
 from agent.verify.robustness import Walk, poses, robustness
+from tests.support.arm_files import with_figures
 from tests.support.control.criterion_cells import gentle
 from tests.support.plant.inprocess import simulate
 
@@ -93,6 +94,26 @@ def test_of_friction_counts_what_the_feed_forward_does_not_know() -> None:
     plain = "controller.friction_feedforward=false"
     assert force("[1.0, 1.0]", plain) > force("[0.3, 1.4]") > 0.1
     assert force("[1.0, 2.0]", plain) == pytest.approx(2.0 * force("[0.5, 1.0]", plain))
+
+
+def test_friction_of_a_joint_at_rest_counts_with_its_breakaway_and_what_load_makes_of_it(tmp_path: Path) -> None:
+    def columns(cell: Cell) -> np.ndarray:
+        arm, model = cell.arms[0], cell.model(cell.arms[0])
+        errors = _errors(cell, arm, model, q, PLANE, np.zeros(3))
+        return J.T @ errors.wrench[:, model.n + 1 :]
+
+    cell = gentle("paper", *EXACT, "tolerance.friction=[0.6, 1.5]")
+    arm, model = cell.arms[0], cell.model(cell.arms[0])
+    q = start_configurations(cell, [cell.model(a) for a in cell.arms])[0]
+    k = model.evaluate(q, np.zeros(model.n))
+    J = PLANE @ model.task_basis.T @ k.J
+    held = k.g + J.T @ (cell.offline(arm).load_share * PLANE[:, :3] @ (-cell.file.object.mass_kg * cell.gravity))
+    coulomb = np.array([s.coulomb_Nm.value for s in arm.servos])
+    np.testing.assert_allclose(columns(cell), 0.5 * np.diag(coulomb), atol=1e-9)
+    figures = {"breakaway_Nm": 0.3, "stribeck_rad_per_s": 1.5, "load_friction": 0.05, "breakaway_load_friction": 0.1}
+    stuck = with_figures(cell, tmp_path / "arms", lambda _: figures)
+    np.testing.assert_allclose(columns(stuck), 0.5 * np.diag(coulomb + 0.3 + 0.15 * np.abs(held)), atol=1e-9)
+    assert float(np.abs(held).max()) > 0.1
 
 
 def test_arms_that_align_themselves_keep_their_dead_zone_only() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import configs
 from agent.config.cell import Cell, cell_from_toml, placement
 from agent.verify.check import reach, start_configurations
 from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
+from tests.support.arm_files import sticking, with_figures
 from tests.support.control.criterion_cells import gentle
 from tests.support.control.level_wx200 import LEVEL
 from tests.support.plant.limp import sag_of_limp
@@ -107,6 +109,51 @@ def test_held_is_only_what_holds_at_every_stated_error() -> None:
     assert exact.fate is Fate.HELD
     assert without(gentle("two_wx200", *LEVEL, *known, "tolerance.friction=[0.2, 1.0]"), 0, 10.0).fate is Fate.MAY_FALL
     assert without(gentle("two_wx200", *LEVEL, "object.mass_kg=2.0"), 0, 0.5).fate is Fate.NOT_HELD
+
+
+def test_the_plant_sags_by_what_statics_say_of_joints_that_stick(tmp_path: Path) -> None:
+    believed = gentle("paper", HOLDS_DESIRED)
+    cell = with_figures(believed, tmp_path / "arms", sticking)
+    predicted, simulated = without(cell, 1, 5.0).sag_m, sag_of_limp(cell, 1, 5.0)
+    assert 0.8 * predicted < simulated < predicted + 5e-3
+    assert predicted < without(believed, 1, 5.0).sag_m - 3e-3
+
+
+@pytest.mark.parametrize(
+    "figures",
+    [
+        {"breakaway_Nm": 0.3, "stribeck_rad_per_s": 1.0},
+        {"load_friction": 0.2},
+        {"breakaway_load_friction": 0.2, "stribeck_rad_per_s": 1.0},
+    ],
+    ids=["breakaway", "load", "breakaway load"],
+)
+def test_what_joints_at_rest_may_resist_by_is_not_called_not_held_nor_counted_on(
+    figures: dict[str, float], tmp_path: Path
+) -> None:
+    cell = gentle("two_wx200", *LEVEL, "object.mass_kg=0.8", "controller.friction_feedforward=false")
+    assert without(cell, 0, 0.5).fate is Fate.NOT_HELD
+    assert without(with_figures(cell, tmp_path / "arms", lambda _: figures), 0, 0.5).fate is Fate.MAY_FALL
+
+
+def test_a_breakaway_that_alone_holds_the_object_is_not_counted_on_once_it_moves(tmp_path: Path) -> None:
+    cell = gentle("two_wx200", *LEVEL, "object.mass_kg=0.8", "controller.friction_feedforward=false")
+    figures = {"breakaway_Nm": 1.0, "stribeck_rad_per_s": 1.0}
+    found = without(with_figures(cell, tmp_path / "arms", lambda _: figures), 0, 0.5)
+    assert found.sag_m < 1e-3
+    assert found.fate is Fate.MAY_FALL
+
+
+def test_a_limp_arm_s_motors_press_on_no_gear_and_others_by_what_they_hold_or_may_give(tmp_path: Path) -> None:
+    figures = {"coulomb_Nm": 0.0, "load_friction": 0.2}
+    cell = with_figures(gentle("paper"), tmp_path / "arms", lambda _: figures)
+    models = [cell.model(a) for a in cell.arms]
+    statics = Statics(cell, models, [start_configurations(cell, models)], [0.0])
+    arm, (low, high) = statics._arms[1], cell.tolerance.friction
+    assert not statics._rubbing(1, statics._best, limp=True).any()
+    np.testing.assert_allclose(statics._rubbing(1, statics._worst, limp=False), low * 0.2 * np.abs(arm.held))
+    most = cell.file.safety.tau_max_fraction_of_stall * arm.stall
+    np.testing.assert_allclose(statics._rubbing(1, statics._best, limp=False), [high * 0.2 * most])
 
 
 def test_more_arms_share_the_weight_of_a_limp_one() -> None:
