@@ -48,6 +48,9 @@ WithParent = Annotated[int | None, typer.Option(hidden=True, help="Process that 
 UtcOffset = Annotated[
     int | None, typer.Option(hidden=True, help="UTC minus CLOCK_MONOTONIC, ns, as the run has found it.")
 ]
+CommonStart = Annotated[
+    Path | None, typer.Option(hidden=True, help="File in which the run will say when the trajectory starts.")
+]
 AtOnce = Annotated[bool, typer.Option("--at-once", hidden=True)]
 AsJson = Annotated[bool, typer.Option("--json", help="For scripts: one JSON document on standard output.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]

@@ -13,6 +13,7 @@ from agent.cli.options import (
     ROS_ROUTER,
     AtOnce,
     CellPath,
+    CommonStart,
     NetworkConfig,
     Overrides,
     UtcOffset,
@@ -33,6 +34,7 @@ def plant(
         AfterLoss.END
     ),
     pauses: Annotated[str | None, typer.Option(hidden=True, help="Instants to wait at for SIGUSR1.")] = None,
+    common_start: CommonStart = None,
     utc_offset_ns: UtcOffset = None,
     with_parent: WithParent = None,
 ) -> None:
@@ -44,7 +46,7 @@ def plant(
     run(
         PlantCommand(
             cell=cell, socket=socket, ring=ring, real_time=real_time, lost_arm=lost_arm, pauses=pauses,
-            utc_offset_ns=utc_offset_ns, with_parent=with_parent,
+            common_start=common_start, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
         ),
         Listener(note),
     )  # fmt: skip
@@ -59,6 +61,7 @@ def emulate(
     seed: Annotated[int, typer.Option(help="Seed of the faults.")] = 0,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
     whole: Annotated[bool, typer.Option("--whole", help="Arms begin at rest, the object on a table.")] = False,
+    common_start: CommonStart = None,
     utc_offset_ns: UtcOffset = None,
     with_parent: WithParent = None,
 ) -> None:
@@ -70,7 +73,7 @@ def emulate(
     run(
         EmulateCommand(
             cell=cell, ports=ports, ring=ring, faults=faults, control=control, seed=seed, no_timing=no_timing,
-            whole=whole, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
+            whole=whole, common_start=common_start, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
         ),
         Listener(note),
     )  # fmt: skip

@@ -92,21 +92,23 @@ def start_together(
         )  # fmt: skip
 
 
-def start_patiently(arms: Places, fingerprint: str, in_ns: int, look: Callable[[], None]) -> None:
-    """The same, so many ns from now, and again where that fails: a machine that stalls answers late.
+def start_patiently(arms: Places, fingerprint: str, in_ns: int, look: Callable[[], None]) -> int:
+    """The same, so many ns from now, and again where that fails: a machine that stalls answers late; UTC of it, ns.
 
     look: is called before each attempt and during it; what it raises ends them.
     Raises ControlError of the last attempt; a start that failed, or was broken off, has been taken back.
     """
     for attempt in range(ATTEMPTS):
         look()
+        request = Request(Verb.START, fingerprint, time.time_ns() + in_ns)
         try:
-            start_together(arms, Request(Verb.START, fingerprint, time.time_ns() + in_ns), look=look)
+            start_together(arms, request, look=look)
         except ControlError:
             if attempt + 1 == ATTEMPTS:
                 raise
         else:
-            return
+            break
+    return request.start_utc_ns
 
 
 def _asked(arms: Places, request: Request, timeout_s: float, look: Callable[[], None] | None) -> Mapping[str, Heard]:

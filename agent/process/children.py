@@ -21,6 +21,7 @@ from agent.process.commands import (
     RecordCommand,
     TelemetryCommand,
 )
+from agent.process.common_start import say
 from agent.process.describe import run_info
 from agent.process.person import Person
 from agent.process.progress import Progress, show
@@ -79,6 +80,7 @@ class Children:
         self._telemetry: dict[str, Child] = {}
         self._cores = share_out(len(cell.arms), os.sched_getaffinity(0))
         self._endpoint = ""  # of the recorder, once it is ready
+        self._start = runtime / "common_start"  # to say it in
         # one for plant, servos and agents: the wall clock may be set between their starts
         self._utc_offset_ns = None if self._lockstep else utc_offset_ns()
         self._stop: Callable[[], bool] = lambda: False  # told to `start`
@@ -104,7 +106,7 @@ class Children:
             self._wait_ready(child)
         if self._whole:
             arms = {arm: [self._control(arm)] for arm in self._agents}
-            self.person = Person(arms, self._cell.fingerprint, lambda word: progress.phase(f"coop {word}"))
+            self.person = Person(arms, self._cell.fingerprint, lambda word: progress.phase(f"coop {word}"), self._start)
         elif not self._lockstep:
             self._start_together(progress)
         self._began_s = time.monotonic()
@@ -136,7 +138,7 @@ class Children:
             self._wait_ready(child)
         places = {arm: [self._control(arm)] for arm in self._agents}
         start_in_ns = START_LOOP_IN_NS if self._kind is RunKind.HIL else START_IN_NS
-        start_patiently(places, self._cell.fingerprint, start_in_ns, self._heed)
+        say(self._start, start_patiently(places, self._cell.fingerprint, start_in_ns, self._heed))
 
     def _wait_ready(self, child: Child) -> dict[str, str]:
         """Key-value pairs of its next ready line.  Raises ChildFailed, StoppedEarly."""
@@ -164,13 +166,13 @@ class Children:
             return self._emulate_command(ring)
         return PlantCommand(
             cell=self._cell_path, socket=self._socket, ring=ring, real_time=not self._lockstep,
-            utc_offset_ns=self._utc_offset_ns,
+            common_start=None if self._lockstep else self._start, utc_offset_ns=self._utc_offset_ns,
         )  # fmt: skip
 
     def _emulate_command(self, ring: Path | None) -> EmulateCommand:
         return EmulateCommand(
             cell=self._cell_path, ports=self._runtime, ring=ring, faults=self._faults, seed=self._seed,
-            whole=self._whole, utc_offset_ns=self._utc_offset_ns,
+            whole=self._whole, common_start=self._start, utc_offset_ns=self._utc_offset_ns,
         )  # fmt: skip
 
     def _agent_command(self, arm: str) -> AgentCommand:

@@ -68,6 +68,7 @@ class PlantCommand(ChildCommand):
     real_time: bool
     lost_arm: AfterLoss = AfterLoss.END
     pauses: str | None = None  # s of the trajectory, with commas: in lockstep it waits there until SIGUSR1
+    common_start: Path | None = None  # file in which the run will say when the trajectory starts
     utc_offset_ns: int | None = None  # UTC minus CLOCK_MONOTONIC as the run has found it; None: as it is now
 
 
@@ -83,7 +84,8 @@ class EmulateCommand(ChildCommand):
     seed: int
     no_timing: bool = False
     whole: bool = False
-    utc_offset_ns: int | None = None  # as of PlantCommand
+    common_start: Path | None = None  # as of PlantCommand
+    utc_offset_ns: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from agent.config.cell import Arm, Cell
 from agent.config.servo_map import GRIPPER, fingers_of, resting_joints
 from agent.config.session import grip_width
 from agent.host.signals import StopFlag
+from agent.process.common_start import CommonStart
 from agent.process.plant import Truth
 from agent.process.rehearse import in_the_loop
 from agent.process.simulated import lone_spec, plant_spec
@@ -114,33 +115,43 @@ def run_emulate(
     stop: StopFlag,
     ready: Callable[[str], None],
     begin: Begin = gripping,
+    common_start: Path | None = None,
     utc_offset_ns: int | None = None,
 ) -> str:
     """Serve the emulated arms until a stop; returns one line about the run.
 
     options: ports, faults and control socket; what becomes of a tick is added.  timing: False answers at once, not at
-    the pace of the bus.  begin: how the arms begin.  utc_offset_ns: UTC minus CLOCK_MONOTONIC as the run has found it;
+    the pace of the bus.  begin: how the arms begin.  common_start: where the run will say when the trajectory
+    starts.  utc_offset_ns: UTC minus CLOCK_MONOTONIC as the run has found it;
     None: as it is now.  ready: told once faults are read and ports are there.  Raises Refusal.
     """
     report = examine(cell)
     report.require()
     emulated, world = begin(cell, report.q_start, BusTiming() if timing else None)
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:
-        truth = Truth(rows, world.plant, cell, MonotonicClock(utc_offset_ns).utc_offset_ns, lockstep=False)
+        offset_ns = MonotonicClock(utc_offset_ns).utc_offset_ns
+        truth = Truth(rows, world.plant, cell, offset_ns, lockstep=False)
+        start = CommonStart(common_start, world.plant, cell, offset_ns)
 
         def on_tick(now_ns: int) -> None:
             truth.write(rows.written, now_ns, world.observe())
 
+        def stopped() -> bool:  # asked before every lap
+            start.look(emulated.time_ns)
+            return stop()
+
         every_ns = round(1e9 / cell.file.simulation.observe_rate_hz)
         try:
             ticking = replace(options, on_tick=on_tick, tick_ns=every_ns)
-            server = _served(emulated, ticking, stop, lambda: ready(f"ring={ring}"))
+            server = _served(emulated, ticking, stopped, lambda: ready(f"ring={ring}"))
         finally:
             rows.finish()
         return f"emulator: {server.laps} laps, {rows.written} observations"
 
 
-def _served(emulated: EmulatedCell, options: ServeOptions, stop: StopFlag, ready: Callable[[], None]) -> Server:
+def _served(
+    emulated: EmulatedCell, options: ServeOptions, stop: Callable[[], bool], ready: Callable[[], None]
+) -> Server:
     """Serve until a stop.  Raises EmulateError, FaultError."""
     try:
         return serve(emulated, options, stop, ready)

@@ -16,6 +16,7 @@ from agent.operator.error import ControlError
 from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
 from agent.operator.words import start_together
+from agent.process.common_start import say
 
 AGAIN_S = 0.1
 IN_NS = 500_000_000  # from a word about an instant to that instant
@@ -53,13 +54,15 @@ class Person:
     """Says word after word; `trouble` says why it went no further."""
 
     def __init__(
-        self, arms: Mapping[str, Sequence[Path]], fingerprint: str, tell: Callable[[str], None] = lambda _: None
-    ) -> None:
-        """arms: control sockets by arm; tell: what is said and why."""
+        self, arms: Mapping[str, Sequence[Path]], fingerprint: str, tell: Callable[[str], None] = lambda _: None,
+        common_start: Path | None = None,
+    ) -> None:  # fmt: skip
+        """arms: control sockets by arm; tell: what is said and why; common_start: the file to say it in."""
         self.trouble = ""
         self._arms = arms
         self._fingerprint = fingerprint
         self._tell = tell
+        self._common_start = common_start
         self._parked = False
         self._said: Verb | None = None
         self._next_s = 0.0
@@ -106,6 +109,8 @@ class Person:
         request = Request(verb, self._fingerprint, time.time_ns() + IN_NS)
         with contextlib.suppress(ControlError):  # no arm moves then, and it is said again
             start_together(meant, request, SILENT_S)
+            if verb is Verb.START and self._common_start is not None:
+                say(self._common_start, request.start_utc_ns)
             self._next_s = time.monotonic() + 2e-9 * IN_NS
 
     def _give_up(self, stopped: Mapping[str, str], modes: Mapping[str, Mode]) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent.config.cell import Cell
 from agent.host.signals import StopFlag
+from agent.process.common_start import CommonStart
 from agent.process.pauses import Pauses
 from agent.process.rehearse import require_wall_clock
 from agent.process.simulated import plant_spec
@@ -30,27 +31,36 @@ SECOND_NS = 1_000_000_000
 
 def run_plant(
     cell: Cell, socket: Path, ring: Path, *, lockstep: bool, lost_arm: LostArm, stop: StopFlag,
-    ready: Callable[[str], None], pauses: Pauses | None = None, utc_offset_ns: int | None = None,
+    ready: Callable[[str], None], pauses: Pauses | None = None, common_start: Path | None = None,
+    utc_offset_ns: int | None = None,
 ) -> str:  # fmt: skip
     """Serve the simulated cell at `socket` until its arms have left; returns one line about the run.
 
     lost_arm: what becomes of the run when an agent dies without a word; ready is called
-    once the arms can connect; pauses: instants to wait at, in lockstep; utc_offset_ns: UTC minus CLOCK_MONOTONIC as
-    the run has found it; None: as it is now.  Raises Refusal.
+    once the arms can connect; pauses: instants to wait at, in lockstep; common_start: where the run will say when the
+    trajectory starts, at the wall clock's pace; utc_offset_ns: UTC minus CLOCK_MONOTONIC as the run has found it; None:
+    as it is now.  Raises Refusal.
     """
     require_wall_clock(cell, real_time=not lockstep)
     report = examine(cell)
     report.require()
     plant = build_plant(plant_spec(cell, report.q_start))
+    utc_offset_ns = _utc_at_zero_ns() if lockstep else MonotonicClock(utc_offset_ns).utc_offset_ns
+    start = CommonStart(common_start, plant, cell, utc_offset_ns)
+
+    def stopped() -> bool:  # asked before every tick
+        start.look(time.monotonic_ns())
+        return stop()
+
     options = ServerOptions(
         socket_path=socket,
         rate_hz=cell.file.rate_hz,
         config_id=cell.config_id,
         lockstep=lockstep,
         lost_arm=lost_arm,
-        utc_offset_ns=_utc_at_zero_ns() if lockstep else MonotonicClock(utc_offset_ns).utc_offset_ns,
+        utc_offset_ns=utc_offset_ns,
         observe_every=cell.file.observe_every,
-        stop=stop,
+        stop=stopped,
     )
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:
         rows.asked = stop

@@ -63,7 +63,10 @@ def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
 
 
 def _happenings(cell: Cell) -> tuple[Push | Opening, ...]:
-    """What befalls the cell, on the plant's clock, which a lockstep run starts `ready_s` before the trajectory's."""
+    """What befalls the cell, on the plant's clock, which a lockstep run starts `ready_s` before the trajectory's.
+
+    Of a run at the wall clock's pace the start is known later (agent.process.common_start).
+    """
     simulation = cell.file.simulation
     begin = simulation.ready_s
     pushes = [Push(begin + p.at_s, p.duration_s, (*p.force_N, *p.moment_Nm)) for p in simulation.push]

@@ -180,7 +180,7 @@ def plant(command: PlantCommand, listener: Listener) -> int:
         pauses = Pauses(instants_of(command.pauses, lockstep=not command.real_time), listener.parent, requested)
     summary = run_plant(
         loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready, pauses=pauses,
-        utc_offset_ns=command.utc_offset_ns,
+        common_start=command.common_start, utc_offset_ns=command.utc_offset_ns,
     )  # fmt: skip
     listener.say(summary)
     return 0
@@ -213,7 +213,7 @@ def emulate(command: EmulateCommand, listener: Listener) -> int:
     begins = at_rest if command.whole else gripping if floating is None else about_the_object
     summary = run_emulate(
         loaded, options, where, timing=timing, stop=requested, ready=ready, begin=begins,
-        utc_offset_ns=command.utc_offset_ns,
+        common_start=command.common_start, utc_offset_ns=command.utc_offset_ns,
     )  # fmt: skip
     listener.say(summary)
     return 0

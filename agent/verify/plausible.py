@@ -16,8 +16,8 @@ GUARD_WIDE_M, GUARD_WIDE_RAD = 0.2, 1.0
 
 
 def plausibility(cell: Cell) -> list[Finding]:
-    """Gravity and how the arms stand in it, shares, guards and ports."""
-    return [*_gravity(cell), *_shares(cell), *_guards(cell), *_ports(cell)]
+    """Gravity and how the arms stand in it, shares, guards and ports, and what is to befall them."""
+    return [*_gravity(cell), *_shares(cell), *_guards(cell), *_ports(cell), *_befalls(cell)]
 
 
 def _gravity(cell: Cell) -> list[Finding]:
@@ -44,6 +44,20 @@ def _gravity(cell: Cell) -> list[Finding]:
             )
         )  # fmt: skip
     return findings
+
+
+def _befalls(cell: Cell) -> list[Finding]:
+    """Warn of pushes and openings that no run of this length comes to."""
+    simulation, end_s = cell.file.simulation, cell.file.duration_s
+    planned = [("push", one.at_s) for one in simulation.push] + [("opening", one.at_s) for one in simulation.opening]
+    return [
+        Finding(
+            f"simulated {what}", "cell", f"at {at_s:g} s", f"before the end, {end_s:g} s", Verdict.WARNING,
+            "it does not happen: let it come earlier, or the run last longer",
+        )
+        for what, at_s in planned
+        if at_s >= end_s
+    ]  # fmt: skip
 
 
 def _direction(unit: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:

@@ -43,7 +43,10 @@ class Befallen(Protocol):
 
 
 class Calendar:
-    """Times in substeps; what falls on one and the same instant happens in the order given, and pushes add up."""
+    """Times in substeps; what falls on one and the same instant happens in the order given, and pushes add up.
+
+    All of it may come later than planned, or wait until that is known.
+    """
 
     def __init__(self, happenings: Sequence[Push | Opening], substep_s: float) -> None:
         due: list[tuple[int, Vector | str]] = []
@@ -55,15 +58,26 @@ class Calendar:
                 wrench = np.array(one.wrench)
                 due += [(begin, wrench), (round((one.at_s + one.duration_s) / substep_s), -wrench)]
         self._due = sorted(due, key=lambda entry: entry[0])
-        self._wrench: Vector = np.zeros(6)
+        self.wrench: Vector = np.zeros(6)  # of all pushes that act now
+        self._substep_s = substep_s
+        self._later: int | None = 0  # substeps; None: nobody knows yet
+
+    def wait(self) -> None:
+        """Let nothing happen until `go`."""
+        self._later = None
+
+    def go(self, later_s: float) -> None:
+        """Everything happens so much later than its own time says."""
+        self._later = round(later_s / self._substep_s)
 
     def stretches(self, plant: Befallen, now: int, substeps: int) -> Iterator[int]:
         """Numbers of the substeps from `now` on between which something happens; it has, when a stretch is given."""
         end = now + substeps
         while now < end:
-            while self._due and self._due[0][0] <= now:
+            later = self._later
+            while later is not None and self._due and self._due[0][0] + later <= now:
                 self._happen(plant, self._due.pop(0)[1])
-            until = min(end, self._due[0][0]) if self._due else end
+            until = min(end, self._due[0][0] + later) if later is not None and self._due else end
             yield until - now
             now = until
 
@@ -71,5 +85,5 @@ class Calendar:
         if isinstance(what, str):
             plant.release(what)
         else:
-            self._wrench = self._wrench + what
-            plant.push(self._wrench)
+            self.wrench = self.wrench + what
+            plant.push(self.wrench)

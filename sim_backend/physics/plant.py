@@ -90,7 +90,7 @@ class Plant:
         self._tau_motor = np.zeros(J)
         self._tau_dry = np.zeros(J)  # of the last substep, where friction has presliding
         self._substeps = 0
-        self._calendar = Calendar(spec.happenings, spec.substep_s)
+        self.calendar = Calendar(spec.happenings, spec.substep_s)
         self._meter: ChainGrasps | None = None
 
     @property
@@ -126,7 +126,7 @@ class Plant:
 
         Raises PlantError when the motion is no longer finite.
         """
-        for count in self._calendar.stretches(self, self._substeps, substeps):
+        for count in self.calendar.stretches(self, self._substeps, substeps):
             self._integrate(tau_cmd_Nm, count)
 
     def _integrate(self, tau_cmd_Nm: Vector, substeps: int) -> None:

@@ -67,7 +67,7 @@ class SoftPlant:
         self._body = FreeBody(spec.object, spec.gravity)
         self._openings = Openings(self._arms, [a.T_object_ee for a in spec.arms], J)
         self._substeps = 0
-        self._calendar = Calendar(spec.happenings, spec.substep_s)
+        self.calendar = Calendar(spec.happenings, spec.substep_s)
         self._behind = False  # pose and openings are of an earlier substep
         self._meter: GraspMeter | None = None
         self._linearise()
@@ -133,7 +133,7 @@ class SoftPlant:
 
         Raises PlantError when the motion is no longer finite.
         """
-        for count in self._calendar.stretches(self, self._substeps, substeps):
+        for count in self.calendar.stretches(self, self._substeps, substeps):
             self._integrate(tau_cmd_Nm, count)
 
     def _integrate(self, tau_cmd_Nm: Vector, substeps: int) -> None:

@@ -80,7 +80,7 @@ class WholeWorld(CoupledWorld):
         """Let one substep pass.  Raises PlantError when the motion is no longer finite."""
         plant, T = self.plant, self.plant.T_world_object
         wrench = self._support.wrench(T, plant.object_twist)
-        plant.push(np.zeros(6) if wrench is None else wrench)
+        plant.push(plant.calendar.wrench + (0.0 if wrench is None else wrench))
         if self._substeps % LOOK_EVERY == 0:
             for arm in range(len(self.fingers)):
                 self._look(arm, T)

@@ -49,6 +49,7 @@ FULL = (
         real_time=True,
         lost_arm=AfterLoss.LIMP,
         pauses="1.0,2.5",
+        common_start=Path("common_start"),
         utc_offset_ns=1_700_000_000_000_000_003,
     ),
     EmulateCommand(
@@ -58,6 +59,7 @@ FULL = (
         faults=Path("faults.jsonl"),
         control=Path("faults.sock"),
         seed=3,
+        common_start=Path("common_start"),
         no_timing=True,
         whole=True,
         utc_offset_ns=-5,

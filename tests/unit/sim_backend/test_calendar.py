@@ -54,6 +54,20 @@ def test_everything_happens_at_its_substep_and_pushes_add_up() -> None:
     assert told.advance(calendar, 5) == [5]
 
 
+def test_what_waits_happens_later_by_as_much_as_it_is_then_told() -> None:
+    one = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    calendar, told = Calendar([Push(0.003, 0.004, one), Opening(0.005, "left")], 1e-3), Told()
+    calendar.wait()
+    assert told.advance(calendar, 20) == [20]
+    calendar.go(0.022)
+    assert told.advance(calendar, 20) == [5, 2, 2, 11]
+    assert told.seen == [(25, list(one)), (27, "left"), (29, [0.0] * 6)]
+    early, told = Calendar([Push(0.003, 0.004, one)], 1e-3), Told()
+    early.go(-0.002)
+    told.advance(early, 10)
+    assert [at for at, _ in told.seen] == [1, 5]
+
+
 def specs() -> list[PlantSpec]:
     spec = replace(planar_cell(), gravity=np.zeros(3))
     return [spec, replace(spec, grasp=GraspSpec(1e4, 50.0))]

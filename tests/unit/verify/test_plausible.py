@@ -99,3 +99,13 @@ def test_servos_without_a_port_are_refused() -> None:
     assert cell_from_toml(text.encode(), "paper.toml").arms[1].entry.dynamixel is None
     with pytest.raises(ConfigError, match="found no port of arm right"):
         cell_from_toml(text.replace('driver = "sim"', 'driver = "dynamixel"').encode(), "paper.toml")
+
+
+def test_a_push_and_an_opening_that_come_behind_the_end_are_warned_of() -> None:
+    changes = [
+        "duration_s=20.0",
+        "simulation.push=[{at_s=19.9, duration_s=1.0, force_N=[0.0, 1.0, 0.0]}, {at_s=20.0, duration_s=1.0}]",
+        "simulation.opening=[{at_s=25.0, arm='left'}]",
+    ]
+    found = warnings(load_cell(PAPER, changes))
+    assert found == [("simulated push", "cell", "at 20 s"), ("simulated opening", "cell", "at 25 s")]
