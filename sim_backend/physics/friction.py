@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interface import Vector
-from sim_backend.physics.actuator import ActuatorError
+from sim_backend.physics.actuator import ActuatorError, ActuatorSpec
 
 PRESLIDING_RAD: Final = 2e-4  # bend of the bristle at breakaway without load
 BRISTLE_DAMPING_RATIO: Final = 1.0  # of bristle and rotor
@@ -64,6 +64,12 @@ class FrictionSpec:
                 expected="below 1 in sum, above which no torque ever moves the joint",
                 remedy="correct the friction of the servos",
             )
+
+    @classmethod
+    def smooth(cls, servos: ActuatorSpec) -> FrictionSpec:
+        """Coulomb and viscous friction of servos that are described by no more."""
+        zero, one = np.zeros(servos.joint_count), np.ones(servos.joint_count)
+        return cls(servos.coulomb_Nm, zero, one, one, zero, zero, servos.viscous_Nms_rad)
 
     @property
     def dry(self) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 import pinocchio as pin
 
+from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.composition import take_hold
 from sim_backend.physics.friction import FrictionSpec
@@ -24,7 +25,7 @@ _SCALED_FRICTION = frozenset({"coulomb_Nm", "breakaway_Nm", "load", "breakaway_l
 
 @dataclass(frozen=True)
 class ArmReality:
-    """One arm as it is; joint values one per controlled joint, none: no error."""
+    """One arm as it is; joint values one per controlled joint, none: as believed."""
 
     base_m: Vec3 = ZERO  # world axes: where the base stands, less where it is believed
     base_rad: Vec3 = ZERO  # rotation vector, world axes, about the base's origin
@@ -33,6 +34,9 @@ class ArmReality:
     zeros_rad: tuple[float, ...] = ()  # reported less true joint angle
     masses: float = 1.0  # of the links, times what is believed
     friction: float = 1.0  # of the joints, times what is believed
+    breakaway_Nm: tuple[float, ...] = ()  # above Coulomb friction at rest, whatever is believed
+    stribeck_rad_per_s: float = 1.0  # over which that falls off
+    load_friction: tuple[float, ...] = ()  # per N·m of the motor, whatever is believed
     torque_constant: tuple[float, ...] = ()  # of the servos, times what is believed
     backlash_rad: tuple[float, ...] = ()  # of the gears, from one end of the gap to the other
     skew_s: float = 0.0  # by which its clock, and so its trajectory, is ahead
@@ -88,7 +92,7 @@ def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
         T_world_base=pin.SE3(R_base @ believed_base.rotation, believed_base.translation + np.array(real.base_m)),
         T_object_ee=pin.SE3(R_grasp @ believed_grasp.rotation, believed_grasp.translation + np.array(real.grasp_m)),
         actuator=_actuator(arm, real, reality),
-        friction=None if arm.friction is None else _friction(arm.friction, real.friction),
+        friction=_friction(arm, real),
         masses=real.masses * arm.masses,
         skew_s=arm.skew_s + real.skew_s,
     )
@@ -96,7 +100,7 @@ def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
 
 def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
     spec = arm.actuator
-    for key in ("zeros_rad", "torque_constant", "backlash_rad"):
+    for key in ("zeros_rad", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad"):
         if len(values := getattr(real, key)) not in (0, spec.joint_count):
             raise PlantError(
                 f"reality of arm {arm.name}: {key}",
@@ -116,10 +120,23 @@ def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
     )
 
 
-def _friction(spec: FrictionSpec, times: float) -> FrictionSpec:
-    return FrictionSpec(
+def _friction(arm: ArmSpec, real: ArmReality) -> FrictionSpec | None:
+    """With presliding where its joints are believed to stick, or do."""
+    if arm.friction is None and not (real.breakaway_Nm or real.load_friction):
+        return None
+    spec, times = arm.friction or FrictionSpec.smooth(arm.actuator), real.friction
+    scaled = FrictionSpec(
         **{f.name: (times if f.name in _SCALED_FRICTION else 1.0) * getattr(spec, f.name) for f in fields(spec)}
     )
+    own: dict[str, Vector] = {}
+    if real.breakaway_Nm:
+        own |= {
+            "breakaway_Nm": np.array(real.breakaway_Nm),
+            "stribeck_rad_s": np.full(len(real.breakaway_Nm), real.stribeck_rad_per_s),
+        }
+    if real.load_friction:
+        own["load"] = np.array(real.load_friction)
+    return replace(scaled, **own)
 
 
 def _pads(believed: GraspSpec | None, reality: Reality) -> GraspSpec | None:

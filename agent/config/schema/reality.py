@@ -6,7 +6,7 @@ The agents do not read it: they believe the rest of the file, as the agents of r
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import Field, model_validator
 
@@ -19,7 +19,10 @@ Offsets = Annotated[tuple[Offset, Offset, Offset], AS_LIST]
 Turns = Annotated[tuple[Turn, Turn, Turn], AS_LIST]
 Times = Annotated[float, Field(ge=0.05, le=20.0)]  # what the files say
 Seconds = Annotated[float, Field(ge=0.0, le=0.5)]
+Rub = Annotated[float, Field(ge=0.0, le=20.0)]  # N·m
+LoadPart = Annotated[float, Field(ge=0.0, le=0.9)]  # of the motor's torque
 NOTHING = (0.0, 0.0, 0.0)
+PER_JOINT: Final = ("zeros_rad", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad")
 
 
 class ArmReality(Strict):
@@ -38,7 +41,13 @@ class ArmReality(Strict):
     masses: Times = 1.0
     """Times the masses of its links."""
     friction: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0
-    """Times the friction of its joints."""
+    """Times the friction of its joints, as its file has it."""
+    breakaway_Nm: Annotated[tuple[Rub, ...], AS_LIST] = ()
+    """Above Coulomb friction at rest, in the place of the arm file's, one per controlled joint; empty: as there."""
+    stribeck_rad_per_s: Annotated[float, Field(ge=1e-3, le=100.0)] = 1.0
+    """Speed over which that breakaway falls off."""
+    load_friction: Annotated[tuple[LoadPart, ...], AS_LIST] = ()
+    """Per N·m of the motor, in the place of the arm file's, one per controlled joint; empty: as there."""
     torque_constant: Annotated[tuple[Times, ...], AS_LIST] = ()
     """True over believed, one per controlled joint; empty: no error."""
     backlash_rad: Annotated[tuple[Gap, ...], AS_LIST] = ()
@@ -79,13 +88,23 @@ class Reality(Strict):
             )  # fmt: skip
         return self
 
+    def require_rubbing(self) -> None:
+        """Refuse friction of joints that do not rub.  Raises PydanticCustomError."""
+        for name, arm in self.arms.items():
+            for key in ("breakaway_Nm", "load_friction"):
+                if any(getattr(arm, key)):
+                    raise wrong(
+                        f"simulation.reality.arms.{name}.{key}", found="simulation.effects.friction = false",
+                        expected="joints that rub", remedy="switch that on, or leave this out",
+                    )  # fmt: skip
+
     def require_fit(self, joints: Mapping[str, int]) -> None:
         """Refuse arms and joints that are not there; joints: their number by arm.  Raises PydanticCustomError."""
         for name, arm in self.arms.items():
             where = f"simulation.reality.arms.{name}"
             if name not in joints:
                 raise wrong(where, found=name, expected=" or ".join(joints), remedy="name an arm of the cell")
-            for key in ("zeros_rad", "torque_constant", "backlash_rad"):
+            for key in PER_JOINT:
                 values = getattr(arm, key)
                 if values and len(values) != joints[name]:
                     raise wrong(

@@ -113,6 +113,8 @@ class Simulation(Strict):
         """Refuse what befalls arms that are not there; joints: their number by arm.  Raises PydanticCustomError."""
         if self.reality is not None:
             self.reality.require_fit(joints)
+            if not self.effects.friction:
+                self.reality.require_rubbing()
         for i, opening in enumerate(self.opening):
             if opening.arm not in joints:
                 raise wrong(

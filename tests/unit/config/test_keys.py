@@ -28,7 +28,7 @@ BARE = (  # numbers that have no unit
     "relative_max", "substeps_per_cycle", "object_mass_error", "torque_constant_error",
     "damping_ratio", "masses", "object", "friction",
     "torque_constant", "pads_damping_ratio", "delay", "seed", "quat_start", "quat_world_base", "quat_object_ee",
-    "quat_centre", "quat_from", "quat_to", "quat", "axis", "mark",
+    "quat_centre", "quat_from", "quat_to", "quat", "axis", "mark", "load_friction",
 )  # fmt: skip
 
 

@@ -66,6 +66,9 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("simulation.reality.arms.left.zeros_rad", -0.3, 0.3),
     ("simulation.reality.arms.left.masses", 0.05, 20.0),
     ("simulation.reality.arms.left.friction", 0.0, 20.0),
+    ("simulation.reality.arms.left.breakaway_Nm", 0.0, 20.0),
+    ("simulation.reality.arms.left.stribeck_rad_per_s", 1e-3, 100.0),
+    ("simulation.reality.arms.left.load_friction", 0.0, 0.9),
     ("simulation.reality.arms.left.torque_constant", 0.05, 20.0),
     ("simulation.reality.arms.left.backlash_rad", 0.0, 0.1),
     ("simulation.reality.arms.left.skew_s", 0.0, 1.0),
@@ -112,6 +115,8 @@ VECTORS = {
     "grasp_m",
     "grasp_rad",
     "zeros_rad",
+    "breakaway_Nm",
+    "load_friction",
     "torque_constant",
     "backlash_rad",
 }

@@ -105,6 +105,26 @@ def test_the_agents_believe_what_the_file_says_and_the_run_tells_what_was_true()
     assert json.loads(run_info(believed, DriverKind.SIM, 0))["reality"] is None
 
 
+def test_a_plant_may_stick_whose_agents_know_nothing_of_it() -> None:
+    believed = cell("paper")
+    sticks = cell("paper", "simulation.reality.arms.left={breakaway_Nm=[0.3, 0.3, 0.1], load_friction=[0.1, 0.1, 0.1]}")
+    left, right = plant_spec(sticks, start_joints(sticks)).arms
+    assert left.friction is not None
+    assert left.friction.breakaway_Nm.tolist() == [0.3, 0.3, 0.1]
+    assert left.friction.load.tolist() == [0.1, 0.1, 0.1]
+    assert right.friction is None
+    for one, other in zip(believed.arms, sticks.arms, strict=True):
+        assert sticks.offline(other).friction == believed.offline(one).friction
+
+
+@pytest.mark.parametrize("key", ["breakaway_Nm", "load_friction"])
+def test_joints_that_do_not_rub_are_given_no_friction(key: str) -> None:
+    smooth = "simulation.effects.friction=false"
+    with pytest.raises(Refusal, match=rf"simulation\.reality\.arms\.left\.{key}.*effects\.friction = false"):
+        cell("paper", smooth, f"simulation.reality.arms.left.{key}=[0.1, 0.1, 0.1]")
+    cell("paper", smooth, f"simulation.reality.arms.left.{key}=[0.0, 0.0, 0.0]")
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -113,6 +133,8 @@ def test_the_agents_believe_what_the_file_says_and_the_run_tells_what_was_true()
         ("simulation.reality.arms.left.zeros_rad=[0.1, 0.1]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.torque_constant=[1.1]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.backlash_rad=[0.01]", "one per controlled joint, 3"),
+        ("simulation.reality.arms.right.breakaway_Nm=[0.01]", "one per controlled joint, 3"),
+        ("simulation.reality.arms.right.load_friction=[0.01]", "one per controlled joint, 3"),
         ("simulation.reality.delay=1.1", "simulation.reality.delay"),
     ],
 )

@@ -149,6 +149,40 @@ def test_friction_torque_constants_delay_and_skew_reach_the_servos() -> None:
     np.testing.assert_allclose(right.friction.coulomb_Nm, 0.1)
 
 
+def test_joints_may_stick_of_which_nobody_believes_it() -> None:
+    spec = planar_cell(SERVOS)
+    own = only(spec, friction=2.0, breakaway_Nm=(0.3, 0.2, 0.0), stribeck_rad_per_s=0.5, load_friction=(0.05, 0.0, 0.1))
+    real = realised(spec, own)
+    left, right = real.arms
+    assert right.friction is None
+    assert left.friction is not None
+    assert left.friction.breakaway_Nm.tolist() == [0.3, 0.2, 0.0]
+    assert left.friction.stribeck_rad_s.tolist() == [0.5, 0.5, 0.5]
+    assert left.friction.load.tolist() == [0.05, 0.0, 0.1]
+    np.testing.assert_array_equal(left.friction.coulomb_Nm, 2.0 * SERVOS.coulomb_Nm)
+    np.testing.assert_array_equal(left.friction.viscous_Nms_rad, 2.0 * SERVOS.viscous_Nms_rad)
+    emulated = without_servo_electronics(real).arms[0].friction
+    assert emulated is left.friction
+    assert not any(arm.friction for arm in realised(spec, only(spec, friction=2.0)).arms)
+    assert realised(spec, only(spec, load_friction=(0.1, 0.1, 0.1))).arms[0].friction is not None
+
+
+def test_own_breakaway_and_load_stand_in_the_place_of_what_is_believed_each_alone() -> None:
+    spec = planar_cell(SERVOS)
+    believed = FrictionSpec(*np.full((7, 3), 0.1))
+    spec = replace(spec, arms=tuple(replace(a, friction=believed) for a in spec.arms))
+    sticks = realised(spec, only(spec, friction=0.5, breakaway_Nm=(0.3, 0.3, 0.3))).arms[0].friction
+    assert sticks is not None
+    assert (sticks.breakaway_Nm[0], sticks.stribeck_rad_s[0], sticks.load[0]) == (0.3, 1.0, 0.05)
+    pressed = realised(spec, only(spec, friction=0.5, load_friction=(0.2, 0.2, 0.2))).arms[0].friction
+    assert pressed is not None
+    assert (pressed.breakaway_Nm[0], pressed.stribeck_rad_s[0], pressed.load[0]) == (0.05, 0.1, 0.2)
+    with pytest.raises(PlantError, match="breakaway_Nm"):
+        realised(spec, only(spec, breakaway_Nm=(0.1,)))
+    with pytest.raises(PlantError, match="load_friction"):
+        realised(spec, only(spec, load_friction=(0.1,)))
+
+
 def test_pads_replace_welds_and_keep_what_a_cell_says_of_slipping() -> None:
     spec = planar_cell()
     pads = Reality(pads_N_per_m=2e3, pads_Nm_per_rad=30.0, pads_damping_ratio=0.1)
