@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,14 @@ def reality_of(cell: Cell) -> Reality | None:
     given = cell.file.simulation.reality
     if given is None or given.seed is None:
         return given
-    return draw(cell.file.tolerance, given.seed, cell)
+    drawn = draw(cell.file.tolerance, given.seed, cell)
+    arms = {name: arm.model_copy(update=_given(given.arms.get(name))) for name, arm in drawn.arms.items()}
+    return drawn.model_copy(update=_given(given) | {"seed": None, "arms": arms})
+
+
+def _given(values: ArmReality | Reality | None) -> dict[str, Any]:
+    """What stands in the file."""
+    return {} if values is None else {key: getattr(values, key) for key in values.model_fields_set}
 
 
 def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
@@ -31,7 +39,12 @@ def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
     normal = cell.model(cell.arms[0]).plane_normal
     arms = {arm.name: _arm(tolerance, rng, arm, normal, cell.T_world_object_start.rotation) for arm in cell.arms}
     believed_s = cell.file.simulated_delay_s
-    return Reality(
+    # of a stream of their own: what a seed drew before there were these keys stays as it was
+    more = np.random.default_rng([seed, 1])
+    jitter_s = more.uniform(0.0, tolerance.delay_jitter_s)
+    if tolerance.backlash_rad > 0.0:
+        arms = {name: _worn(tolerance, more, arm) for name, arm in arms.items()}
+    drawn = Reality(
         object=rng.uniform(1.0 - tolerance.object, 1.0 + tolerance.object),
         object_centre_m=_offset(rng, tolerance.object_centre_m, normal, cell.T_world_object_start.rotation.T),
         pads_N_per_m=_log_uniform(rng, *tolerance.pads_N_per_m),
@@ -40,6 +53,12 @@ def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
         delay_s=believed_s * rng.uniform(*tolerance.delay),
         arms=arms,
     )
+    return drawn.model_copy(update={"delay_jitter_s": min(jitter_s, drawn.delay_s or 0.0)})
+
+
+def _worn(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> ArmReality:
+    gaps_rad = rng.uniform(0.0, tolerance.backlash_rad, len(arm.zeros_rad))
+    return arm.model_copy(update={"backlash_rad": tuple(gaps_rad.tolist())})
 
 
 def _arm(

@@ -127,6 +127,8 @@ def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
         "torque_constant": float(np.linalg.norm([k - 1.0 for a in arms for k in a.torque_constant])),
         "pads_N_per_m": real.pads_N_per_m or 0.0,
         "pads_Nm_per_rad": real.pads_Nm_per_rad or 0.0,
+        "backlash_rad": float(np.linalg.norm([b for a in arms for b in a.backlash_rad])),
+        "delay_jitter_s": real.delay_jitter_s,
         "skew_s": max(a.skew_s for a in arms) - min(a.skew_s for a in arms),
         **{name: float(np.mean(values)) for name, values in scales.items()},
         **{f"{name}_off": float(np.mean([abs(x - 1.0) for x in values])) for name, values in scales.items()},

@@ -122,7 +122,7 @@ class Robustness:
                 )
             )  # fmt: skip
         failed = [f for i, s in enumerate(self.support) for f in self._failures(i, s)]
-        return [*findings, self._margin(otherwise), *failed, *self._internal(), *self.reach]
+        return [*findings, self._margin(otherwise), *failed, *self._internal(), *self.reach, *_unseen(cell)]
 
     def _internal(self) -> list[Finding]:
         return [
@@ -182,7 +182,7 @@ class Robustness:
         cell, found = self.walk.cell, self.criterion
         margin_s = found.delay_margin_s
         period_s = 1.0 / cell.file.rate_hz
-        wanted_s = cell.tolerance.delay[1] * cell.file.delay_periods * period_s  # to the bit as margin_s
+        wanted_s = _delay_periods(cell)[1] * period_s  # to the bit as margin_s
         text = "none" if margin_s is None else f"{margin_s * 1e3:.3g} ms"
         if margin_s is not None and margin_s >= found.delay_looked_at_s:
             text += " or more"
@@ -208,6 +208,14 @@ def robustness(walk: Walk) -> Robustness:
     if cell.file.controller.alignment.enabled:
         reach.append(_start(cell, start_off(cell, walk.models, at[0], few.along[0])))
     return Robustness(few, found, walk.instants, support, apart, tuple(reach))
+
+
+def _unseen(cell: Cell) -> list[Finding]:
+    """What is stated and none of this counts with."""
+    gap_rad = cell.tolerance.backlash_rad
+    if not gap_rad:
+        return []
+    return [Finding("backlash of the gears", "cell", f"up to {gap_rad * 1e3:.3g} mrad, in no figure of this check", "")]
 
 
 def _start(cell: Cell, off: Sequence[tuple[float, float]]) -> Finding:
@@ -243,11 +251,18 @@ def _aligning(cell: Cell) -> Aligning | None:
     return Aligning(cell.anchor, max(spec.ready_per_s, spec.track_per_s))
 
 
+def _delay_periods(cell: Cell) -> tuple[float, float]:
+    """The shortest and the longest delay that the cell states, its jitter in it."""
+    stated, periods = cell.tolerance, cell.file.delay_periods
+    jitter = stated.delay_jitter_s * cell.file.rate_hz
+    return max(stated.delay[0] * periods - jitter, 0.0), stated.delay[1] * periods + jitter
+
+
 def ranges_of(cell: Cell) -> Ranges:
     """How far reality may be, as the cell states it."""
-    stated, periods = cell.tolerance, cell.file.delay_periods
+    stated, (shortest, longest) = cell.tolerance, _delay_periods(cell)
     return Ranges(
-        delay_periods=(stated.delay[0] * periods, periods, stated.delay[1] * periods),
+        delay_periods=(shortest, cell.file.delay_periods, longest),
         inertia_error=cell.inertia_error,
         object_error=stated.object,
         friction=stated.friction[0],

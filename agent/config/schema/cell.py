@@ -221,6 +221,7 @@ class CellFile(Strict):
                 "controller.alignment.anchor", found=repr(anchor), expected=" or ".join(names),
                 remedy="name one of the cell's arms",
             )  # fmt: skip
+        self.tolerance.require_fit(self.rate_hz)
         self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})
         if self.hil is not None:
             self.hil.require_fit(names, self.rate_hz, simulated=self.driver is DriverKind.SIM)

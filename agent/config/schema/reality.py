@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Final
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from agent.config.schema.types import AS_LIST, Name, Strict, wrong
 
@@ -57,10 +57,10 @@ class ArmReality(Strict):
 
 
 class Reality(Strict):
-    """Errors of the cell: drawn from `seed` within the cell's [tolerance], or each as given."""
+    """Errors of the cell: each as given, the others drawn from `seed` within the cell's [tolerance], or none."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
-    """Errors are drawn from it within [tolerance]; a seed alone, or values without one."""
+    """Errors that are not given are drawn from it within [tolerance]; none: as believed."""
     object: Times = 1.0
     """Times the object's mass and inertia."""
     object_centre_m: Offsets = NOTHING
@@ -77,16 +77,6 @@ class Reality(Strict):
     """By which it differs from tick to tick, at most."""
     arms: dict[Name, ArmReality] = Field(default_factory=dict)
     """Errors of single arms, by name."""
-
-    @model_validator(mode="after")
-    def _drawn_or_given(self) -> Reality:
-        others = self.model_fields_set - {"seed"}
-        if self.seed is not None and others:
-            raise wrong(
-                "seed", found=f"a seed and {', '.join(sorted(others))}", expected="a seed alone, or values without one",
-                remedy="`coop study` writes the values of a seed; take those",
-            )  # fmt: skip
-        return self
 
     def require_rubbing(self) -> None:
         """Refuse friction of joints that do not rub.  Raises PydanticCustomError."""

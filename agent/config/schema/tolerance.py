@@ -12,7 +12,7 @@ from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field
 
-from agent.config.schema.types import AS_LIST, Strict
+from agent.config.schema.types import AS_LIST, Strict, wrong
 
 ZEROS_PLANAR_RAD: Final = math.radians(0.5)
 ZEROS_SPATIAL_RAD: Final = math.radians(0.1)  # six joints add up what three do not
@@ -73,6 +73,19 @@ class Tolerance(Strict):
     """Times the loop's delay, from to."""
     skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 5e-3
     """Between the starts of two arms."""
+    backlash_rad: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    """Of the gears of each joint, from one end of the gap to the other; 0: none is drawn."""
+    delay_jitter_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """By which the loop's delay differs from tick to tick; 0: none is drawn."""
+
+    def require_fit(self, rate_hz: float) -> None:
+        """Refuse a jitter with which torques would overtake each other.  Raises PydanticCustomError."""
+        if 2.0 * self.delay_jitter_s * rate_hz >= 1.0:
+            raise wrong(
+                "tolerance.delay_jitter_s", found=f"{self.delay_jitter_s:g} s",
+                expected=f"below half a period, {0.5 / rate_hz:g} s",
+                remedy="lower it: a torque would overtake the one before",
+            )  # fmt: skip
 
     def zeros_of(self, joints: int) -> float:
         """Error of the zero of each joint of an arm with so many controlled joints, rad."""

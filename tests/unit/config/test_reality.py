@@ -73,6 +73,67 @@ def test_a_seed_is_one_reality_and_a_tolerance_changes_its_own_value_alone() -> 
     assert other.delay_s == draw(t, 7, c).delay_s
 
 
+WORN = ("tolerance.backlash_rad=0.006", "tolerance.delay_jitter_s=0.002")
+
+
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [
+        ("paper", (1.0392736268828853, 0.006202182739925248, 0.001806320295070788, 1.0742678753385762)),
+        ("three_wx250s", (0.9288653239120901, 0.005479961642586657, 0.0027381759960686766, 0.9935460433628193)),
+    ],
+)
+def test_a_seed_draws_what_it_drew_before_there_was_backlash_and_jitter_stated_or_not(
+    name: str, known: tuple[float, ...]
+) -> None:
+    plain, worn = (draw(c.file.tolerance, 7, c) for c in (cell(name), cell(name, *WORN)))
+    last = list(plain.arms.values())[-1]
+    assert (plain.object, plain.delay_s, last.skew_s, last.torque_constant[-1]) == known
+    assert plain.delay_jitter_s == 0.0
+    assert not any(arm.backlash_rad for arm in plain.arms.values())
+    gapless = {k: arm.model_copy(update={"backlash_rad": ()}) for k, arm in worn.arms.items()}
+    assert worn.model_copy(update={"delay_jitter_s": 0.0, "arms": gapless}) == plain
+
+
+def test_backlash_and_jitter_are_drawn_up_to_what_is_stated_each_by_itself() -> None:
+    c = cell("paper", *WORN)
+    drawn = [draw(c.file.tolerance, seed, c) for seed in range(60)]
+    gaps = [gap for r in drawn for arm in r.arms.values() for gap in arm.backlash_rad]
+    jitters = [r.delay_jitter_s for r in drawn]
+    assert len(gaps) == 60 * 6
+    for values, most in ((gaps, 0.006), (jitters, 0.002)):
+        assert 0.0 <= min(values) < 0.1 * most
+        assert 0.9 * most < max(values) <= most
+        assert len(set(values)) == len(values)
+    one = cell("paper", WORN[0])
+    assert [draw(one.file.tolerance, s, one).arms for s in range(3)] == [r.arms for r in drawn[:3]]
+    made = plant_spec(cell("paper", *WORN, "simulation.reality.seed=3"), start_joints(c)).arms[1].actuator
+    assert made.backlash_rad.tolist() == list(drawn[3].arms["right"].backlash_rad)
+    assert made.delay_jitter_s == jitters[3]
+
+
+def test_a_delay_jitters_by_no_more_than_there_is_of_it() -> None:
+    c = cell("paper", "loop_delay_s=0.0", WORN[1])
+    assert {draw(c.file.tolerance, seed, c).delay_jitter_s for seed in range(5)} == {0.0}
+
+
+def test_a_jitter_with_which_torques_overtake_each_other_is_refused() -> None:
+    with pytest.raises(Refusal, match=r"tolerance\.delay_jitter_s.*found 0\.0025 s.*below half a period, 0\.0025 s"):
+        cell("paper", "tolerance.delay_jitter_s=0.0025")
+
+
+def test_values_that_are_given_lie_over_those_of_a_seed() -> None:
+    drawn = reality_of(cell("paper", "simulation.reality.seed=3"))
+    given = "simulation.reality={seed=3, object=1.5, arms={left={masses=1.2, grasp_m=[0.0, 0.0, 0.0]}}}"
+    real = reality_of(cell("paper", given))
+    assert drawn is not None
+    assert real is not None
+    assert (real.object, real.arms["left"].masses, real.arms["left"].grasp_m) == (1.5, 1.2, (0.0, 0.0, 0.0))
+    assert drawn.arms["left"].grasp_m != (0.0, 0.0, 0.0)
+    left = real.arms["left"].model_copy(update={k: getattr(drawn.arms["left"], k) for k in ("masses", "grasp_m")})
+    assert real.model_copy(update={"object": drawn.object, "arms": real.arms | {"left": left}}) == drawn
+
+
 def test_a_drawn_reality_and_its_values_written_down_are_one_plant() -> None:
     drawn = cell("paper", "simulation.reality.seed=3")
     real = reality_of(drawn)
@@ -128,7 +189,6 @@ def test_joints_that_do_not_rub_are_given_no_friction(key: str) -> None:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("simulation.reality={seed=1, object=1.1}", "a seed alone"),
         ("simulation.reality.arms.middle.masses=1.1", "left or right"),
         ("simulation.reality.arms.left.zeros_rad=[0.1, 0.1]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.torque_constant=[1.1]", "one per controlled joint, 3"),

@@ -39,7 +39,7 @@ from agent.study.page import _influences
 from agent.study.plan import Plan, Task, load_plan
 from agent.study.provenance import hash_of, provenance
 from agent.study.store import RUNS_FILE, Store, StudyError
-from agent.study.study import RESULTS, Work, run_study
+from agent.study.study import RESULTS, Work, _row, run_study
 from agent.study.summary import ENOUGH_RUNS, _spearman, counting, errors_of, influences, judged, summary, verdict, worst
 from agent.study.work import ATTEMPTS, here, in_processes, until
 from drivers.interface import Refusal
@@ -498,6 +498,19 @@ def test_errors_are_measured_as_disagreement_and_distance_from_one() -> None:
     assert found["friction"] == pytest.approx((left.friction + right.friction) / 2)
     assert found["friction_off"] == pytest.approx((abs(left.friction - 1) + abs(right.friction - 1)) / 2)
     assert found["object_off"] == pytest.approx(abs(real.object - 1))
+    assert (found["backlash_rad"], found["delay_jitter_s"]) == (0.0, 0.0)
+
+
+def test_backlash_and_jitter_that_a_study_draws_are_in_its_table_and_among_what_matters() -> None:
+    c = cell("tolerance.backlash_rad=0.006", "tolerance.delay_jitter_s=0.002")
+    drawn = [draw(c.file.tolerance, seed, c) for seed in range(30)]
+    gaps = [np.linalg.norm([b for arm in r.arms.values() for b in arm.backlash_rad]) for r in drawn]
+    for error, sizes in (("backlash_rad", gaps), ("delay_jitter_s", [r.delay_jitter_s for r in drawn])):
+        results = [a_result(0, seed=seed, internal_force_mean_N=float(sizes[seed])) for seed in range(30)]
+        assert errors_of(drawn[3], c)[error] == pytest.approx(sizes[3])
+        first = influences(c, results)[0]
+        assert (first.error, first.correlation) == (error, pytest.approx(1.0))
+        assert f"error_{error}" in _row(c, results[0])
 
 
 def test_an_error_that_strains_whichever_way_it_goes_is_found() -> None:

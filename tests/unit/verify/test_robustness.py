@@ -45,6 +45,18 @@ def test_the_worst_case_is_named_with_its_reality() -> None:
     assert found["longest delay with all of this stable"].found == "none"
 
 
+def test_jitter_counts_as_delay_and_backlash_is_said_to_count_nowhere() -> None:
+    plain, worn = (ranges_of(gentle("paper", *more)).delay_periods for more in ((), ("tolerance.delay_jitter_s=1e-3",)))
+    assert plain == (0.8, 1.0, 1.25)
+    assert worn == pytest.approx((0.6, 1.0, 1.45))
+    assert ranges_of(gentle("paper", "loop_delay_s=1e-4", "tolerance.delay_jitter_s=1e-3")).delay_periods[0] == 0.0
+    report = looked_at(gentle, "paper", "tolerance.delay_jitter_s=1e-3", "tolerance.backlash_rad=0.004")
+    assert findings(report)["longest delay with all of this stable"].wanted == "≥ 7.25 ms"
+    (gears,) = (f for f in report.findings if f.what == "backlash of the gears")
+    assert (gears.verdict, gears.found) == (Verdict.OK, "up to 4 mrad, in no figure of this check")
+    assert not any(f.what == "backlash of the gears" for f in looked_at(first, "paper").findings)
+
+
 def test_in_simulation_it_warns_and_where_servos_move_the_arms_it_refuses() -> None:
     simulated = looked_at(first, "paper")
     assert simulated.ok
