@@ -105,6 +105,7 @@ def test_backlash_and_jitter_are_drawn_up_to_what_is_stated_each_by_itself() -> 
         assert 0.0 <= min(values) < 0.1 * most
         assert 0.9 * most < max(values) <= most
         assert len(set(values)) == len(values)
+    assert jitters[3] != np.random.default_rng(3).uniform(0.0, 0.002), "not the numbers of the other errors"
     one = cell("paper", WORN[0])
     assert [draw(one.file.tolerance, s, one).arms for s in range(3)] == [r.arms for r in drawn[:3]]
     made = plant_spec(cell("paper", *WORN, "simulation.reality.seed=3"), start_joints(c)).arms[1].actuator
