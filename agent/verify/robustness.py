@@ -77,10 +77,19 @@ class Robustness:
         }
 
     def _failed(self, found: Support) -> dict[str, Any]:
+        """The worst of each fault, and what it is at every place."""
         return {
-            "limp": self._load(found.limp) | {"sag_m": found.sag_m, "object": found.fate.value},
-            "locked": self._load(found.locked),
-            "holding": self._load(found.holding),
+            "limp": self._load(found.limp)
+            | {
+                "sag_m": found.sag_m,
+                "object": found.fate.value,
+                "along": [
+                    self._load(load) | {"sag_m": sag_m}
+                    for load, sag_m in zip(found.limp_along, found.sag_along_m, strict=True)
+                ],
+            },
+            "locked": self._load(found.locked) | {"along": [self._load(load) for load in found.locked_along]},
+            "holding": self._load(found.holding) | {"along": [self._load(load) for load in found.holding_along]},
         }
 
     def _load(self, load: Load) -> dict[str, Any]:
@@ -151,8 +160,9 @@ class Robustness:
             ),
             *(
                 judged(
-                    f"this arm {what}", where, self._loaded(load), f"≤ {bound:.0%}", holds=load.share <= bound,
-                    otherwise=Verdict.WARNING, remedy="move more slowly, or take softer gains",
+                    f"this arm {what}", where, f"{self._loaded(load)}, if noticed within {found.noticed_s:g} s",
+                    f"≤ {bound:.0%}", holds=load.share <= bound, otherwise=Verdict.WARNING,
+                    remedy="move more slowly, or take softer gains",
                 )
                 for what, load in (("locked", found.locked), ("holding", found.holding))
             ),

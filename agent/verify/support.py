@@ -15,9 +15,10 @@ its least, as `[tolerance]` states them, breakaway not counted; NOT_HELD is what
 joints at rest resisting by more than moving ones; in between either may happen.  Friction that grows with load is that
 of the torque that holds arm and share (the motors of a limp arm give none), for NOT_HELD that of the largest torque.
 
-A locked arm carries itself; the others pull at it by what the desired pose moves on until they notice.  An arm that
-holds gives way by its own stiffness, and where it braces itself (agent.control.brace) by so much less as its pull back
-is worth, but no less than a locked one.
+A locked arm carries itself; the others pull at it by what the desired pose moves on until they notice, in the time
+that is meant for that; where the motion is slow it may take longer.  An arm that holds gives way by its own stiffness,
+and where it braces itself (agent.control.brace) by so much less as its pull back is worth, but no less than a locked
+one.
 """
 
 from __future__ import annotations
@@ -68,11 +69,16 @@ class Load:
 class Support:
     """What the others bear when one arm fails, over all places."""
 
+    noticed_s: float  # after which a locked arm, or one that holds, is supposed to be noticed
     limp: Load  # what motors give, feed-forward and all, where joints have no friction and torques no bounds
     sag_m: float  # as the files say, with both; infinite where it falls
     fate: Fate  # whatever of the stated tolerance is true
     locked: Load
     holding: Load
+    limp_along: tuple[Load, ...]  # the same at every place
+    sag_along_m: tuple[float, ...]
+    locked_along: tuple[Load, ...]
+    holding_along: tuple[Load, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,25 +160,31 @@ class Statics:
         """What the others bear when this arm fails; there must be others."""
         others = [i for i in range(len(self._arms)) if i != failed]
         x = self._sag(failed, others, _Reality(1.0, 1.0, 0.0, Rubbing.moving), math.inf)
-        worst, expected, best = (
-            self._size(self._sag(failed, others, reality, self._bound))
-            for reality in (self._worst, _Reality(1.0, 1.0, 1.0, Rubbing.at_rest), self._best)
-        )
+        as_said = _Reality(1.0, 1.0, 1.0, Rubbing.at_rest)
+        sags = [self._sizes(self._sag(failed, others, r, self._bound)) for r in (self._worst, as_said, self._best)]
+        worst, expected, best = (float(sizes.max()) for sizes in sags)
         fate = Fate.HELD if worst <= HELD_SAG_M else Fate.MAY_FALL
         if min(worst, expected, best) > HELD_SAG_M:
             fate = Fate.NOT_HELD
-        gone = (NOTICED_S if len(others) == 1 else NOTICED_MORE_S) * self._speed
+        noticed_s = NOTICED_S if len(others) == 1 else NOTICED_MORE_S
+        gone = noticed_s * self._speed
         S, S_others = self._arms[failed].S, np.sum([self._arms[i].S for i in others], axis=0)
         # the holding arm stays where S x + pull = S_others (gone − x)
         drawn = gone @ S_others.T
         pull_N = np.clip(np.sum(drawn * self._along, axis=1), 0.0, self._brace_N)
         given = np.linalg.solve(S + S_others, (drawn - pull_N[:, None] * self._along).T).T
+        limp, locked, holding = (self._loads(others, way) for way in (x, -gone, given - gone))
         return Support(
-            limp=self._largest(others, x),
+            noticed_s=noticed_s,
+            limp=_largest(limp),
             sag_m=expected,
             fate=fate,
-            locked=self._largest(others, -gone),
-            holding=self._largest(others, given - gone),
+            locked=_largest(locked),
+            holding=_largest(holding),
+            limp_along=limp,
+            sag_along_m=tuple(sags[1].tolist()),
+            locked_along=locked,
+            holding_along=holding,
         )
 
     def _need(self, failed: int, reality: _Reality) -> Matrix:
@@ -209,25 +221,30 @@ class Statics:
             if float(np.abs(missing).max()) < BALANCED:
                 return x
             x = x - np.linalg.solve(slope, missing[..., None])[..., 0]
-            if not self._size(x) <= LOST_M:
+            if not self._sizes(x).max() <= LOST_M:
                 break
         return np.full_like(x, math.inf)
 
-    def _largest(self, others: Sequence[int], x: Matrix) -> Load:
+    def _loads(self, others: Sequence[int], x: Matrix) -> tuple[Load, ...]:
+        """What is the most at each place."""
         if not np.isfinite(x).all():  # no way of the object balances the weights
-            return Load(math.inf, others[0], 0, 0)
-        loads = []
-        for i in others:
-            share = np.abs(self._arms[i].law(x)[0]) / self._arms[i].stall
-            place, joint = np.unravel_index(int(share.argmax()), share.shape)
-            loads.append(Load(float(share.max()), i, int(joint), int(place)))
-        return max(loads, key=lambda load: load.share)
+            return tuple(Load(math.inf, others[0], 0, place) for place in range(len(x)))
+        shares = [np.abs(self._arms[i].law(x)[0]) / self._arms[i].stall for i in others]
+        most, joints = np.array([s.max(axis=1) for s in shares]), [s.argmax(axis=1).tolist() for s in shares]
+        return tuple(
+            Load(float(most[k, place]), others[k], joints[k][place], place)
+            for place, k in enumerate(most.argmax(axis=0).tolist())
+        )
 
-    def _size(self, x: Matrix) -> float:
-        """Largest displacement of the object, m; infinite where x is."""
-        if not np.isfinite(x).all():
-            return math.inf
-        return float(np.linalg.norm(x @ self._P[:, :3], axis=-1).max())
+    def _sizes(self, x: Matrix) -> Vector:
+        """(T,) displacements of the object, m; infinite where x is."""
+        with np.errstate(invalid="ignore"):
+            sizes: Vector = np.linalg.norm(x @ self._P[:, :3], axis=-1)
+        return np.where(np.isfinite(x).all(axis=-1), sizes, math.inf)
+
+
+def _largest(loads: Sequence[Load]) -> Load:
+    return max(loads, key=lambda load: load.share)
 
 
 def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matrix, weight: Vector) -> _Arm:

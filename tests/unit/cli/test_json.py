@@ -63,8 +63,16 @@ def test_check_gives_findings_a_verdict_and_the_start() -> None:
     assert set(robustness) == {"spectral_radius", "delay_margin_s", "worst", "one_arm_fails", "internal_wrench"}
     assert shape(robustness["internal_wrench"]["right"]) == {"force_N": "float", "moment_Nm": "float"}
     assert shape(robustness["one_arm_fails"]["left"]) == {
-        "limp": LOAD | {"sag_m": "float", "object": "str"}, "locked": LOAD, "holding": LOAD,
+        "limp": LOAD | {"sag_m": "float", "object": "str", "along": [LOAD | {"sag_m": "float"}]},
+        "locked": LOAD | {"along": [LOAD]}, "holding": LOAD | {"along": [LOAD]},
     }  # fmt: skip
+    for fault in ("limp", "locked", "holding"):
+        worst = robustness["one_arm_fails"]["left"][fault]
+        along = worst.pop("along")
+        assert len({one["t_s"] for one in along}) == len(along) > 40
+        assert max(along, key=lambda one: one["share_of_stall"]).items() & worst.items() >= {
+            (key, worst[key]) for key in LOAD
+        }  # fmt: skip
     assert shape(robustness["worst"]["bare"]) == WORST_BARE
     assert shape(found) == HEAD | {
         "verdict": "str", "findings": [FINDING], "q_start_rad": {"left": ["float"], "right": ["float"]},

@@ -45,6 +45,12 @@ def test_the_worst_case_is_named_with_its_reality() -> None:
     assert found["longest delay with all of this stable"].found == "none"
 
 
+def test_a_locked_arm_is_judged_by_the_time_until_it_is_noticed_which_is_said() -> None:
+    said = {f.what: f.found for f in looked_at(first, "paper").findings if f.where == "left"}
+    for what in ("this arm locked", "this arm holding"):
+        assert said[what].endswith(" s), if noticed within 0.1 s")
+
+
 def test_jitter_counts_as_delay_and_backlash_is_said_to_count_nowhere() -> None:
     plain, worn = (ranges_of(gentle("paper", *more)).delay_periods for more in ((), ("tolerance.delay_jitter_s=1e-3",)))
     assert plain == (0.8, 1.0, 1.25)

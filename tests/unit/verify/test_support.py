@@ -213,6 +213,22 @@ def test_one_that_braces_itself_asks_each_of_the_others_for_its_part_of_that_pul
     assert found.holding.share < found.locked.share
 
 
+@pytest.mark.parametrize(("name", "noticed_s"), [("paper", 0.1), ("three_wx250s", 0.5)])
+def test_what_one_place_says_by_itself_is_what_it_says_among_others(name: str, noticed_s: float) -> None:
+    cell = gentle(name)
+    found = without(cell, 0, 0.5, 3.0)
+    assert found.noticed_s == noticed_s
+    for place, t in enumerate((0.5, 3.0)):
+        alone = without(cell, 0, t)
+        for fault in ("limp", "locked", "holding"):
+            load, own = getattr(found, f"{fault}_along")[place], getattr(alone, fault)
+            assert (load.share, load.arm, load.joint) == (pytest.approx(own.share, rel=5e-3), own.arm, own.joint)
+            assert load.place == place
+        assert found.sag_along_m[place] == pytest.approx(alone.sag_m, rel=0.05)
+    assert found.limp == max(found.limp_along, key=lambda load: load.share)
+    assert found.sag_m == max(found.sag_along_m)
+
+
 def test_however_it_braces_itself_it_asks_for_no_more_than_a_locked_one() -> None:
     straight = "trajectory.points=[{t_s=0.0, p_m=[0.0, 0.0, 0.2]}, {t_s=6.0, p_m=[0.03, 0.02, 0.22]}]"
     found = without(gentle("three_wx250s", *WEIGHTLESS, straight, "safety.noticing.brace_N=20.0"), 0, 3.0)
