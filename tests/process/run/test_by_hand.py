@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -51,6 +52,7 @@ class Host:
 
     def __init__(self, folder: Path, **environment: str) -> None:
         self.folder = folder
+        self.runtime = environment.get("XDG_RUNTIME_DIR", "")
         self._environment = {k: v for k, v in os.environ.items() if k not in ("XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY")}
         self._environment |= environment
         self._processes: list[subprocess.Popen[str]] = []
@@ -77,6 +79,15 @@ def session(tmp_path: Path) -> Iterator[Host]:
     host = Host(tmp_path, XDG_RUNTIME_DIR=str(tmp_path / "session"))
     yield host
     host.close()
+
+
+@pytest.fixture
+def short_session(tmp_path: Path) -> Iterator[Host]:
+    """The same in a folder whose name is as short as that of a real session: sockets' names have 107 characters."""
+    with TemporaryDirectory(prefix="s") as folder:
+        host = Host(tmp_path, XDG_RUNTIME_DIR=folder)
+        yield host
+        host.close()
 
 
 def cell_named(name: str, folder: Path, duration_s: float = SECONDS) -> str:
@@ -202,10 +213,10 @@ def test_emulated_servos_by_hand_need_no_path(session: Host) -> None:
 
 @pytest.mark.paced
 def test_the_processes_of_the_first_carry_come_together_as_its_page_starts_them(
-    session: Host, monkeypatch: pytest.MonkeyPatch
+    short_session: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On emulated servos, and without the rights to real time."""
-    folder = session.folder / "session"
+    session, folder = short_session, Path(short_session.runtime)
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     cell = session.folder / "cell.toml"

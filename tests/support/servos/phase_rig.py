@@ -88,7 +88,7 @@ class PhaseArm(SessionRun):
 
     standing: Standing = field(default_factory=lambda: Standing(""))
     requests: Requests = field(default_factory=Requests)
-    signals: Any = field(default_factory=lambda: SimpleNamespace(stopped=False, stops=0, released=False))
+    signals: Any = field(default_factory=lambda: SimpleNamespace(stopped=False, stops=0, released=False, why=""))
     clock: MortalClock | None = None
     guarded: bool = False
     reasons: list[str] = field(default_factory=list)  # of every hold and halt
@@ -263,7 +263,7 @@ class PhaseRun:
         self.clock.sleep_until(self.clock.now_ns() + HOST_NS)
         agent = build_agent(self.cell, arm)
         rows = np.array(run.log.rows[-64:], dtype=AGENT_STATE.dtype)
-        run.signals = SimpleNamespace(stopped=False, stops=0, released=False)
+        run.signals = SimpleNamespace(stopped=False, stops=0, released=False, why="")
         run.standing = Standing(arm.name)
         schedule = session_schedule(self.cell, arm)
         begun = go_on(agent, driver, self.clock, rows, schedule, "the agent has died", session=True)

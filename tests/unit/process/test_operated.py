@@ -251,12 +251,14 @@ def test_a_stop_by_a_signal_wins_over_a_release_of_the_same_cycle_where_the_arm_
     rig.control.standing.mode = Mode.HOLD
     with closing(rig.control):
         for _ in range(2):
-            rig.signals.stopped, rig.signals.stops = True, rig.signals.stops + 1
+            rig.signals.stopped, rig.signals.stops, rig.signals.why = True, rig.signals.stops + 1, "SIGINT: Ctrl-C"
             rig.signals.released = True
             assert rig.hear() == Event.STOP
-            assert rig.told.pop() == (
-                Level.WARN, "a stop wins over the release that came with it: say it again", {}
-            )  # fmt: skip
+            assert rig.told == [
+                (Level.INFO, "asked to stop: SIGINT: Ctrl-C", {}),
+                (Level.WARN, "a stop wins over the release that came with it: say it again", {}),
+            ]
+            rig.told.clear()
             rig.signals.released = True
             assert Event.RELEASED in rig.hear(), "said again, it counts"
             assert not rig.told
