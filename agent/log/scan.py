@@ -176,7 +176,8 @@ class LogScan:
         kept, at = b"", begin
         while piece := self._bytes(at, min(end - at, _PIECE)):
             kept, at = kept + piece, at + len(piece)
-            yield from (at - len(kept) + found.start() for found in _MARK.finditer(kept))
+            if kept != bytes(len(kept)):  # a hole, in which there is nothing to look for
+                yield from (at - len(kept) + found.start() for found in _MARK.finditer(kept))
             kept = kept[1 - len(_BEGINNING) :]
 
     # --------------------------------------------------------------------------------------------------- of one record
