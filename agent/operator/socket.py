@@ -52,9 +52,8 @@ class Standing:
     arm: str
     mode: Mode = Mode.OFF
     reason: str = ""  # of a hold or a fault
-    no_start: Mapping[str, str] | None = (
-        None  # found, expected, remedy: why this agent starts nothing in any mode, nor goes to a grasp
-    )
+    # found, expected, remedy: why this agent starts nothing in any mode, nor goes to a grasp
+    no_start: Mapping[str, str] | None = None
     rest_s: float = 0.0  # of READY before a start, in which the torque at rest is looked at
     ready_ns: int = 0  # since when it is READY, on CLOCK_MONOTONIC: nobody sets that
     session: Callable[[Event], str] | None = None  # why such an event counts for nothing now; None: there is no session
