@@ -79,6 +79,38 @@ def test_modes_then_marks_then_goals_then_watchdogs_then_torque() -> None:
     ]
 
 
+def forgets_its_watchdog(rig: Rig, servo_id: int, when: Register) -> None:
+    """As often as something is written to a register of this servo."""
+    memory = rig.servo(servo_id).firmware.memory
+    really = memory.put
+
+    def put(register: Register, value: int) -> None:
+        really(register, value)
+        if register is when and value > 0:
+            really(table.BUS_WATCHDOG, 0)
+
+    memory.put = put  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize(
+    ("servo_id", "when", "torque"), [(SHADOW, table.BUS_WATCHDOG, []), (4, table.TORQUE_ENABLE, [1])]
+)
+@pytest.mark.fault("P8")
+def test_a_servo_without_its_watchdog_gets_no_torque_or_keeps_none(
+    servo_id: int, when: Register, torque: list[int]
+) -> None:
+    """A shadow answers no write; and one that loses it behind the look before torque is seen by the look behind it."""
+    rig = build()
+    rig.driver.connect()
+    forgets_its_watchdog(rig, servo_id, when)
+    written(rig)
+    with pytest.raises(DxlServoFault, match=f"servo {servo_id} .*Bus Watchdog"):
+        rig.driver.enable()
+    given = [values[4] for address, values in written(rig) if address == TORQUE and values.get(4)]
+    assert given == torque
+    assert not any(rig.get(i, table.TORQUE_ENABLE) for i in range(1, 8))
+
+
 def test_arming_again_goes_out_in_one_piece_with_the_goals() -> None:
     """A process that is killed in it leaves no servo without a watchdog; nor do two of its packets that are lost."""
     rig = enabled()
