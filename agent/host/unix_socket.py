@@ -67,7 +67,7 @@ def _identity(path: Path) -> Identity:
 @contextlib.contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
     """Two processes that begin at once take this folder one after the other; whoever may read it can keep it, too."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         deadline = time.monotonic() + WAIT_S
         while not _locked(descriptor):

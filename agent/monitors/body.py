@@ -34,7 +34,7 @@ class Start:
         if off_m <= AT_LIMIT * self._start_m and off_rad <= AT_LIMIT * self._start_rad:
             return ""
         mm, mrad, most_mm, most_mrad = (1e3 * x for x in (off_m, off_rad, self._start_m, self._start_rad))
-        m, rad = digits(mm, most_mm, 1), digits(mrad, most_mrad, 0)
+        m, rad = digits(1, mm, most_mm), digits(0, mrad, most_mrad)
         return sentence(
             "start of the object", f"{mm:.{m}f} mm and {mrad:.{rad}f} mrad from where the cell states it",
             f"at most {most_mm:g} mm and {most_mrad:g} mrad",
@@ -56,7 +56,7 @@ class Workspace:
             return ""
         for axis, x, (low, high) in zip(_AXES, terms.kinematics.p_object, self._box, strict=True):
             if not low <= x <= high:
-                n = max(digits(x, low, 3), digits(x, high, 3))
+                n = digits(3, x, low, high)
                 return sentence(
                     f"{axis} of the object", f"{x:.{n}f} m", f"{low:.{n}f} to {high:.{n}f} m",
                     "see what moved it; safety.monitors.workspace_m sets the box",

@@ -74,7 +74,7 @@ class Gravity:
         worst = int(np.argmax(shares))
         if shares[worst] <= 1.0:
             return ""
-        n = digits(abs(W[worst]), self._limits[worst], 2)
+        n = digits(2, abs(W[worst]), self._limits[worst])
         unit = "N" if worst < _FORCES else "N·m"
         return sentence(
             "torque at rest", f"{W[worst]:+.{n}f} {unit} {_COMPONENTS[worst]} at the object beside what the files say",

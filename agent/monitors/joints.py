@@ -22,7 +22,7 @@ class Speed:
         bounds = self._alone if at.mode in ALONE else self._bounds
         for joint, dq, bound in zip(self._joints, at.dq, bounds, strict=True):
             if not -bound <= dq <= bound:
-                n = digits(abs(dq), bound, 2)
+                n = digits(2, abs(dq), bound)
                 return sentence(
                     f"speed of {joint}", f"{dq:.{n}f} rad/s", f"at most {bound:.{n}f} rad/s",
                     "look for a gain that is too high, a broken grasp or a slipped load before the next start",
@@ -40,7 +40,7 @@ class Power:
         """See `agent.monitors.tick.Monitor`."""
         for joint, tau, dq, bound in zip(self._joints, at.tau, at.dq, self._bounds, strict=True):
             if not -bound <= tau * dq <= bound:
-                n = digits(abs(tau * dq), bound, 2)
+                n = digits(2, abs(tau * dq), bound)
                 return sentence(
                     f"power of {joint}", f"{tau * dq:.{n}f} W ({tau:.2f} N·m at {dq:.2f} rad/s)",
                     f"at most {bound:.{n}f} W", "look for a gain that is too high, or somebody who pushes the arm",
@@ -60,7 +60,7 @@ class Position:
         bounds = self._alone if at.mode in ALONE else self._bounds
         for joint, q, (low, high) in zip(self._joints, at.q, bounds, strict=True):
             if not low <= q <= high:
-                n = max(digits(q, low, 3), digits(q, high, 3))
+                n = digits(3, q, low, high)
                 return sentence(
                     f"position of {joint}", f"{q:.{n}f} rad", f"{low:.{n}f} to {high:.{n}f} rad",
                     "start from the pose that `coop check` shows; move the base or the motion if it ends there",

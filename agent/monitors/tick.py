@@ -29,9 +29,9 @@ class Monitor(Protocol):
         ...
 
 
-def digits(found: float, bound: float, least: int) -> int:
-    """How many decimals tell what is found from its bound: at least so many, and nine where nothing does."""
-    return next((n for n in range(least, 9) if f"{found:.{n}f}" != f"{bound:.{n}f}"), 9)
+def digits(least: int, found: float, *bounds: float) -> int:
+    """How many decimals tell what is found from its bounds: at least so many, and nine where nothing does."""
+    return next((n for n in range(least, 9) if f"{found:.{n}f}" not in [f"{x:.{n}f}" for x in bounds]), 9)
 
 
 def sentence(what: str, found: str, expected: str, remedy: str) -> str:

@@ -149,7 +149,12 @@ TARGETS = (
     Target("agent.host.unix_socket", (f"{UNIT}/operator/test_control_socket.py", f"{UNIT}/guard/test_line.py")),
     Target("agent.operator.promise", (f"{UNIT}/operator/test_two_operators.py",)),
     Target(
-        "agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py", f"{UNIT}/operator/test_two_operators.py")
+        "agent.operator.socket",
+        (
+            f"{UNIT}/operator/test_control_socket.py",
+            f"{UNIT}/operator/test_two_operators.py",
+            f"{UNIT}/process/test_operated.py",
+        ),
     ),
     Target("agent.monitors.body", _MONITORS),
     Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),

@@ -7,6 +7,7 @@ from tests.mutate.equivalent.entries import Entries
 _OPENS = "fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 416)"
 _FCHMOD = "the next line sets the mode, before anything is in the file"
 _HAS_SPACE = "if self.written - self._words[ACKNOWLEDGED_WORD] < enough:"
+_LOOKS = "how often somebody is asked while it waits"
 _NO_CLOCK = "the short way, without asking the clock; the loop behind it ends as soon"
 _TEXTS = "block = self._ring.read_new(64)"
 _ROOM = "memory = np.zeros(dtype.itemsize + 16, np.uint8)"
@@ -70,6 +71,11 @@ LOGS: Entries = {
         ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
         ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
         ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
+        ("RingWriter.wait_for_space", "if now >= look:", "if True:"): _LOOKS,
+        ("RingWriter.wait_for_space", "if now >= look:", "if now > look:"): _LOOKS,
+        ("RingWriter.wait_for_space", "look = now + _LOOK_S", "pass"): _LOOKS,
+        ("RingWriter.wait_for_space", "look = now + _LOOK_S", "look = now - _LOOK_S"): _LOOKS,
+        ("module", "_LOOK_S: Final = 0.02", "_LOOK_S: Final = 0.04"): _LOOKS,
         ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",

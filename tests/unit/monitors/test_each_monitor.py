@@ -60,7 +60,17 @@ def test_what_is_just_beyond_a_bound_is_told_with_as_many_digits_as_it_takes() -
     assert "found 0.504 W (1.00 N·m at 0.50 rad/s), expected at most 0.500 W" in Power(b).check(
         tick(dq=[0.504] * 3, tau=[1.0] * 3)
     )
-    assert "found -1.0002 rad, expected -1.0000 to 1.0000 rad" in Position(b).check(tick(q=[-1.0002] * 3))
+    assert "found -0.504 W (1.00 N·m at -0.50 rad/s), expected at most 0.500 W" in Power(b).check(
+        tick(dq=[-0.504] * 3, tau=[1.0] * 3)
+    )
+    assert "found 0.70 W (1.00 N·m at 0.70 rad/s), expected at most 0.50 W" in Power(b).check(
+        tick(dq=[0.7] * 3, tau=[1.0] * 3)
+    )
+    near, far = "expected -1.0000 to 1.0000 rad", "expected -1.000 to 1.000 rad"
+    for q, told in ((-1.0002, f"-1.0002 rad, {near}"), (1.0002, f"1.0002 rad, {near}"), (1.2, f"1.200 rad, {far}")):
+        assert f"found {told}" in Position(b).check(tick(q=[q] * 3))
+    outside: Any = SimpleNamespace(terms=SimpleNamespace(kinematics=SimpleNamespace(p_object=(0.7, 0.0, 0.0))))
+    assert "found 0.700 m, expected -0.500 to 0.500 m" in Workspace(b).check(tick()._replace(outcome=outside))
     above: Any = SimpleNamespace(terms=SimpleNamespace(kinematics=SimpleNamespace(p_object=(0.50003, 0.0, 0.0))))
     assert "found 0.50003 m, expected -0.50000 to 0.50000 m" in Workspace(b).check(tick()._replace(outcome=above))
     aside: Any = SimpleNamespace(memory=SimpleNamespace(shift=(1.2e-4, 0.0, 0.0, 0.0, 0.0, 0.1004)))
