@@ -113,3 +113,21 @@ def test_a_log_of_two_motions_is_paired_by_utc() -> None:
         own["p_object"][:, 0] = np.arange(40.0)
     found = grasps(log_of(left, right, plant), paper())
     assert [(arm.rows, arm.offset_m) for arm in found.arms] == [(40, 0.0), (40, 0.0)]
+
+
+def test_where_the_times_of_one_arm_alone_come_again_utc_pairs_them() -> None:
+    left, right = rows(40), rows(40)[:20]
+    left["t"][20:] -= 20 * 1e-9 * PERIOD_NS
+    for own in (left, right):
+        own["p_object"][:, 0] = np.arange(float(len(own)))
+    assert [(arm.rows, arm.offset_m) for arm in grasps(log_of(left, right), paper()).arms] == [(20, 0.0), (20, 0.0)]
+
+
+def test_rows_of_one_time_and_one_whose_time_is_unknown_are_no_second_motion() -> None:
+    left, right = rows(40), rows(40)
+    for own in (left, right):
+        own["t"][5] = own["t"][4]
+        own["p_object"][:, 0] = np.arange(40.0)
+    left["t"][0] = np.nan
+    right["utc_ns"] -= 7 * PERIOD_NS
+    assert [(arm.rows, arm.offset_m) for arm in grasps(log_of(left, right), paper()).arms] == [(39, 0.0), (39, 0.0)]

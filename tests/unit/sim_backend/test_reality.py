@@ -165,6 +165,7 @@ def test_joints_may_stick_of_which_nobody_believes_it() -> None:
     assert emulated is left.friction
     assert not any(arm.friction for arm in realised(spec, only(spec, friction=2.0)).arms)
     assert realised(spec, only(spec, load_friction=(0.1, 0.1, 0.1))).arms[0].friction is not None
+    assert realised(spec, only(spec, breakaway_Nm=(0.1, 0.1, 0.1))).arms[0].friction is not None
 
 
 def test_own_breakaway_and_load_stand_in_the_place_of_what_is_believed_each_alone() -> None:
