@@ -241,8 +241,8 @@ CONTROL: Entries = {
         ): "nobody is brought back by a driver that cannot; said for the type checker",
     },
     "agent.host.unix_socket": {
-        ("module", "WAIT_S = 5.0", "WAIT_S = 10.0"): "how long somebody is waited for, who never lets go",
-        ("module", "_LOOK_S = 0.01", "_LOOK_S = 0.02"): "how often it is looked",
+        ("", "WAIT_S = 5.0", "WAIT_S = 10.0"): "how long somebody is waited for, who never lets go",
+        ("", "_LOOK_S = 0.01", "_LOOK_S = 0.02"): "how often it is looked",
         (
             "_alone_in",
             "if time.monotonic() >= deadline:",

@@ -79,7 +79,7 @@ LOGS: Entries = {
         ("RingWriter.wait_for_space", "if now >= look:", "if now > look:"): _LOOKS,
         ("RingWriter.wait_for_space", "look = now + _LOOK_S", "pass"): _LOOKS,
         ("RingWriter.wait_for_space", "look = now + _LOOK_S", "look = now - _LOOK_S"): _LOOKS,
-        ("module", "_LOOK_S: Final = 0.02", "_LOOK_S: Final = 0.04"): _LOOKS,
+        ("", "_LOOK_S: Final = 0.02", "_LOOK_S: Final = 0.04"): _LOOKS,
         ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
