@@ -92,6 +92,14 @@ def test_an_arm_that_moves_or_has_no_law_is_not_compared() -> None:
     assert said(gravity(), (200, tick((0.0, 0.0, 9.0), to_wrench=None))) == []
 
 
+def test_what_is_just_beyond_its_limit_is_told_with_as_many_digits_as_it_takes_whatever_its_sign() -> None:
+    for tau_Nm, sign in ((-1.004, "-"), (1.004, "+")):
+        monitor, one = gravity(), tick((tau_Nm, 0.0, 0.0), to_wrench=FORCES)
+        told = [monitor.check(one) for _ in range(200)][-1]
+        assert f"{sign}1.004 N along x" in told
+        assert "at most 1.000 N" in told
+
+
 @pytest.mark.parametrize(
     ("to_wrench", "words"),
     [
