@@ -133,8 +133,8 @@ def parse(raw: bytes, path: Path) -> dict[str, Any]:
         ) from error
 
 
-def override(document: dict[str, Any], text: str) -> None:
-    """Change one value of a parsed cell; text: "key.path=value", arms by their names.  Raises ConfigError."""
+def override(document: dict[str, Any], text: str) -> list[str]:
+    """Change one value of a parsed cell; text: "key.path=value", arms by their names; the path.  Raises ConfigError."""
     key, separator, value = text.partition("=")
     *parents, last = (part.strip() for part in key.split("."))
     if not separator or not all((*parents, last)):
@@ -150,6 +150,7 @@ def override(document: dict[str, Any], text: str) -> None:
     if not isinstance(node, dict):
         raise _not_an_override(key, f"a key of one of {'.'.join(parents)}", f"e.g. {'.'.join(parents)}.NAME.KEY=VALUE")
     node[last] = _value(value)
+    return [*parents, last]
 
 
 def _value(text: str) -> Any:

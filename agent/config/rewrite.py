@@ -20,8 +20,7 @@ def rewritten(text: str, overrides: Sequence[str]) -> str:
     """
     for given in overrides:
         document = tomllib.loads(text)
-        override(document, given)
-        path = [part.strip() for part in given.partition("=")[0].split(".")]
+        path = override(document, given)
         edited = next(_edited(text, document, path), None)
         text = tomli_w.dumps(document) if edited is None else edited
     return text

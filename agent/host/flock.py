@@ -1,10 +1,11 @@
-"""Who has locked a file or folder with `flock`, as the kernel says; asking takes no lock.
+"""Locks of files and folders by `flock`: taking one, and who has it, as the kernel says, for which none is taken.
 
 Who may read a file can lock it.  So a lock says that somebody has it, and not what he does with it.
 """
 
 from __future__ import annotations
 
+import fcntl
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +14,15 @@ from typing import Final
 _LOCKS: Final = Path("/proc/locks")
 
 File = tuple[int, int, int]  # device (major, minor) and inode
+
+
+def lock(fd: int) -> bool:
+    """Take the lock of an open file or folder; False while another process has it."""
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def file_of(status: os.stat_result) -> File:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import socket
 import struct
@@ -12,7 +11,7 @@ from collections.abc import Iterator
 from errno import ETIMEDOUT
 from pathlib import Path
 
-from agent.host.held import holder
+from agent.host.flock import holder, lock
 
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _NO_SERVER = ConnectionRefusedError, FileNotFoundError
@@ -70,21 +69,13 @@ def _alone_in(folder: Path) -> Iterator[None]:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         deadline = time.monotonic() + WAIT_S
-        while not _locked(descriptor):
+        while not lock(descriptor):
             if time.monotonic() >= deadline:
                 raise TimeoutError(ETIMEDOUT, f"for {WAIT_S:g} s a lock{holder(descriptor)} on its folder")
             time.sleep(_LOOK_S)
         yield
     finally:
         os.close(descriptor)
-
-
-def _locked(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def _unconnected() -> socket.socket:

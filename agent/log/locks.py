@@ -6,7 +6,6 @@ else can open it, who asks takes no lock, and whoever else must be alone locks a
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,18 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from agent.atomic import umask
+from agent.host.flock import lock
 from agent.telemetry.ring import file as ring_file
 
 SUFFIX: Final = ".repairing"
-
-
-def lock(fd: int) -> bool:
-    """Take the lock of an open file or folder; False while another process has it.  Whoever can open it can take it."""
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def create_written(path: Path) -> int:

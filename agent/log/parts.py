@@ -10,9 +10,10 @@ from functools import partial
 from io import BytesIO
 from pathlib import Path
 
+from agent.host.flock import lock
 from agent.log.chunk import LIBRARY
 from agent.log.file import LogFileError, LogInTheWay
-from agent.log.locks import is_written, lock, lock_path, note_path, open_closed
+from agent.log.locks import is_written, lock_path, note_path, open_closed
 from agent.log.read import LogError
 from agent.log.recover import is_unfinished
 from agent.log.scan import library_of, open_file

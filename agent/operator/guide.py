@@ -72,8 +72,7 @@ _GOING_BACK = MappingProxyType({  # beside one that is gone, does not obey, or c
 _CARRIES = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 _STAYS = frozenset({Mode.READY, Mode.HOLD})
 _BEGIN = "bring it to its rest by hand and start its agent"
-_OTHERS = "lead the others back; "
-_LOST = f"support it and what it holds; {_OTHERS}then fold it into its rest by hand and start its agent"
+_LOST = "support it and what it holds; {}then fold it into its rest by hand and start its agent"
 _DEAF = "support it and what it holds: no word reaches it; its log says why, then end its process"
 _WAIT = "wait until it answers"
 _STOPS = "what moves stops, what holds the object goes on holding it"
@@ -84,7 +83,7 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
 
     arms: as in the document of agent.operator.status; option: that which names them to a word.
     """
-    said, modes, gone = list[str](), dict[str, Mode](), dict[str, str]()
+    said, modes, silenced = list[str](), dict[str, Mode](), dict[str, tuple[str, str | None]]()
     for arm in arms:
         name: str = arm["arm"]
         head, why = (arm["mode"], "") if arm["answers"] else silent(arm)
@@ -92,15 +91,16 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
         if mode is None:
             last = f"last {arm['mode']}" if arm["mode"] else ""
             said.append(f"{name}: " + "; ".join([head, *filter(None, (why, last))]))
-            gone[name] = _begin_again(head, arm["mode"])
+            silenced[name] = head, arm["mode"]
             continue
         if mode in STEPS:  # else a hand guides it
             modes[name] = mode
         what = STEPS[mode].seen if mode in STEPS else TABLE[mode].says
         said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, (what, *unfit(arm), arm["reason"]))))
     back = any(arm["answers"] and arm["no_start"] for arm in arms)
-    if gone or len(set(modes.values())) > 1:
-        told = _apart(modes, back, gone if modes else {name: text.replace(_OTHERS, "") for name, text in gone.items()})
+    if silenced or len(set(modes.values())) > 1:
+        gone = {name: _begin_again(*how, others=bool(modes)) for name, how in silenced.items()}
+        told = _apart(modes, back, gone)
     else:
         told = _alike(next(iter(modes.values())), back) if modes else []
     return said + [line.replace("--arm", option).replace("CELL", cell) for line in told]
@@ -130,7 +130,7 @@ def _apart(modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str]) -> li
         )
     else:
         carry = []
-    back = back or Mode.FAULT in modes.values() or any(text is not _WAIT for text in gone.values())
+    back = back or Mode.FAULT in modes.values() or any(text != _WAIT for text in gone.values())
     steps = {name: (_GOING_BACK if back else _GOING_ON).get(mode, STEPS[mode].do) for name, mode in modes.items()}
     left = {name: text for name, text in {**steps, **gone}.items() if name not in carry}
     for text in dict.fromkeys(left.values()):
@@ -139,13 +139,15 @@ def _apart(modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str]) -> li
     return told
 
 
-def _begin_again(head: str, last: str | None) -> str:
-    """What to do with an arm that hears nothing, by how it is and its last mode."""
+def _begin_again(head: str, last: str | None, *, others: bool) -> str:
+    """What to do with an arm that hears nothing, by how it is and its last mode; others: some hear."""
     if head == STARTING:
         return _WAIT
     if head == HUNG:
         return _DEAF
-    return _BEGIN if head == NONE or (head == ENDED and last != Mode.FAULT.name) else _LOST
+    if head == NONE or (head == ENDED and last != Mode.FAULT.name):
+        return _BEGIN
+    return _LOST.format("lead the others back; " if others else "")
 
 
 def _to(text: str, arms: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 from agent.config.cell import Cell
 from agent.host.clock import ClockState
-from agent.host.held import file_of, flocks
+from agent.host.flock import file_of, flocks
 from agent.host.paths import barred, ring_paths
 from agent.log.locks import lock_path, note_path
 from agent.operator.ask import Heard, Silence, ask_arms

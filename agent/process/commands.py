@@ -84,7 +84,7 @@ class EmulateCommand(ChildCommand):
     seed: int
     no_timing: bool = False
     whole: bool = False
-    common_start: Path | None = None  # as of PlantCommand
+    common_start: Path | None = None  # this and the next as of PlantCommand
     utc_offset_ns: int | None = None
 
 

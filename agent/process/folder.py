@@ -10,9 +10,8 @@ from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
-from agent.host.held import holder
+from agent.host.flock import holder, lock
 from agent.log.file import remove_log
-from agent.log.locks import lock
 from drivers.interface import Refusal
 
 LOG_NAME, RESULTS, PAGE = "run.mcap", "results.json", "report.html"

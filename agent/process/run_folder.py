@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from agent.log.locks import lock
+from agent.host.flock import lock
 from agent.telemetry.ring.file import is_locked
 from agent.telemetry.ring.texts import TEXT_FORMAT, TEXT_SLOTS
 from agent.telemetry.ring.writer import file_bytes

@@ -15,8 +15,7 @@ from typing import Any, BinaryIO, Final, Self
 from pydantic import TypeAdapter
 
 from agent.atomic import WriteError, make_folder
-from agent.host.held import holder
-from agent.log.locks import lock
+from agent.host.flock import holder, lock
 from agent.study.measure import RunResult
 from agent.study.plan import Plan, Task, seed_of
 from drivers.interface import Refusal

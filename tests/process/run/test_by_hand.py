@@ -65,6 +65,11 @@ class Host:
         self._processes.append(process)
         return process
 
+    def share(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Words that this process says are said in that session, too."""
+        monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", self.runtime)
+
     def close(self) -> None:
         for process in self._processes:
             if process.poll() is None:
@@ -143,8 +148,7 @@ def test_a_run_by_hand_needs_no_path_and_loads_no_solver_where_none_is_used(sess
 def test_a_lockstep_cell_by_hand_tells_how_it_is_and_is_stopped_by_a_word(
     session: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session.folder / "session"))
+    session.share(monkeypatch)
     cell = cell_named("paper", session.folder, LONG_S)
     plant = session.start("plant", cell)
     ready(plant)
@@ -178,8 +182,7 @@ def test_an_arm_that_waits_for_the_others_ends_in_order_by_a_signal_by_a_word_an
     session: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first state of a simulated arm needs all of them, and the others may take a minute to start."""
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session.folder / "session"))
+    session.share(monkeypatch)
     cell = cell_named("paper", session.folder, LONG_S)
     plant = session.start("plant", cell)
     ready(plant)
@@ -217,8 +220,7 @@ def test_the_processes_of_the_first_carry_come_together_as_its_page_starts_them(
 ) -> None:
     """On emulated servos, and without the rights to real time."""
     session, folder = short_session, Path(short_session.runtime)
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    session.share(monkeypatch)
     cell = session.folder / "cell.toml"
     text = (configs.CELLS_DIR / "two_wx200.toml").read_text() + "\n[session]\n"
     for key, value in SLOWLY.items():

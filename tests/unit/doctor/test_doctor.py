@@ -353,12 +353,12 @@ def test_a_port_that_vanishes_is_a_finding_and_no_crash() -> None:
 # --- the cycle -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("usb_ms", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("usb_ms", [1, long(2)])
 @pytest.mark.parametrize("firmware", [44, 46])
 @pytest.mark.parametrize(
     ("baud", "rate_hz"),
     [
-        pytest.param(57_600, 15.0, marks=pytest.mark.long),
+        long((57_600, 15.0)),
         (1_000_000, 150.0),
         long((3_000_000, 250.0)),
         (4_000_000, 100.0),

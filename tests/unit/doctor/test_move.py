@@ -29,7 +29,6 @@ from agent.doctor.move import (
 from agent.verify.finding import Finding, Verdict
 from drivers.interface import Vector
 from tests.support.command import coop
-from tests.support.few import long
 from tests.support.servos.dxl_rig import WX200, Rig, build
 
 MAP = replace(WX200, joints=tuple(replace(j, start_rad=None, tau_max_Nm=min(j.tau_max_Nm, 1.2)) for j in WX200.joints))
@@ -119,9 +118,9 @@ def test_a_sound_arm_moves_each_joint_a_little_both_ways_and_torque_is_off_at_th
 @pytest.mark.parametrize(
     ("spoil", "joint", "key"),
     [
-        long((lambda rig: mount(rig, "elbow"), "elbow", "`reverse` of joint elbow")),
+        (lambda rig: mount(rig, "elbow"), "elbow", "`reverse` of joint elbow"),
         (lambda rig: mount(rig, "shoulder", servos=(0, 1)), "shoulder", "`reverse` of joint shoulder"),
-        long((lambda rig: current(rig, 4), "elbow", "exchange the servo")),
+        (lambda rig: current(rig, 4), "elbow", "exchange the servo"),
         (lambda rig: current(rig, 3), "shoulder", "`reverse` and `ids` of joint shoulder"),
     ],
     ids=["reversed", "swapped pair", "sign of current", "sign of current in one of a pair"],

@@ -260,15 +260,19 @@ def test_the_agent_of_a_session_begins_at_rest_and_is_else_the_same(
 ) -> None:
     root = tmp_path_factory.mktemp("session")
     install(root, "session")
-    real, whole_ = (read_unit(where, "coop-agent@left") for where in (host, root))
-    assert {key for key in real | whole_ if real[key] != whole_[key]} == {"Environment"}
-    assert command(whole_) == [*command(real), "--whole"]
+    real, rested = (read_unit(where, "coop-agent@left") for where in (host, root))
+    assert {key for key in real | rested if real[key] != rested[key]} == {"Environment"}
+    assert command(rested) == [*command(real), "--whole"]
 
 
 @pytest.mark.parametrize("two", [("simulated", "rehearsal"), ("session", "simulated"), ("rehearsal", "session")])
 def test_an_agent_is_of_one_kind(tmp_path: Path, two: tuple[str, str]) -> None:
-    words_ = ["sh", str(SYSTEMD / "install.sh"), *two]
-    done = subprocess.run(words_, env=os.environ | {"DESTDIR": str(tmp_path)}, capture_output=True, text=True)
+    done = subprocess.run(
+        ["sh", str(SYSTEMD / "install.sh"), *two],
+        env=os.environ | {"DESTDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
     assert (done.returncode, list(tmp_path.iterdir())) == (2, [])
     assert f"found '{two[0]}' and '{two[1]}', expected one of them" in done.stderr
 
