@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from agent.config.tables import tables
 from drivers.interface import Refusal
 
 _HEADER = re.compile(r"\s*\[\[?\s*(?P<name>[A-Za-z0-9_.-]+)\s*\]?\]\s*(#.*)?$")
@@ -40,11 +41,11 @@ def apply(text: str, changes: Sequence[Change]) -> str:
         at = _key(lines, change.key, begin, end)
         lines[at[0] : at[1]] = [f"{change.key} = {change.toml}"]
     edited = "\n".join(lines) + "\n"
-    wanted = tomllib.loads(text)
+    wanted = tables(text)
     for change in changes:
         _table(wanted, change)[change.key] = tomllib.loads(f"value = {change.toml}")["value"]
     try:
-        same = tomllib.loads(edited) == wanted
+        same = tables(edited) == wanted
     except tomllib.TOMLDecodeError:  # the table is there, inline or by dotted keys
         same = False
     if not same:

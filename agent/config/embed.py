@@ -5,7 +5,6 @@ From then on the cell stands alone: every host, every log and every replay has t
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import tomli_w
 
 from agent.config.reading import ConfigError, read_file, shown
+from agent.config.tables import tables
 from agent.config.trajectory import text_of_file
 from agent.config.urdf import urdf_beside
 
@@ -51,7 +51,7 @@ def _of_arm(name: str, arm: str, cell_path: Path) -> Iterator[tuple[str, str]]:
     text = _arm_text(name, arm, cell_path)
     yield name, text
     try:
-        urdf = tomllib.loads(text).get("urdf")
+        urdf = tables(text).get("urdf")
     except (ValueError, RecursionError):
         return  # what is wrong with it is said where it is read
     if isinstance(urdf, str) and (cell_path.parent / urdf_beside(name, urdf)).is_file():

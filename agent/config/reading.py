@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 
 import configs
 from agent.config.schema.types import IN_WORDS, MISFIT, nearest
+from agent.config.tables import tables
 from drivers.interface import Refusal, one_line
 
 M = TypeVar("M", bound=BaseModel)
@@ -120,7 +121,7 @@ def parse(raw: bytes, path: Path) -> dict[str, Any]:
             remedy="save it as UTF-8 without BOM",
         )  # fmt: skip
     try:
-        return tomllib.loads(raw.decode())
+        return tables(raw.decode())
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigError(

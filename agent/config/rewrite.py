@@ -10,6 +10,7 @@ import tomli_w
 
 from agent.config.edit import Change, EditError, apply
 from agent.config.reading import override
+from agent.config.tables import tables
 
 
 def rewritten(text: str, overrides: Sequence[str]) -> str:
@@ -19,7 +20,7 @@ def rewritten(text: str, overrides: Sequence[str]) -> str:
     file is written anew, without comments.
     """
     for given in overrides:
-        document = tomllib.loads(text)
+        document = tables(text)
         path = override(document, given)
         edited = next(_edited(text, document, path), None)
         text = tomli_w.dumps(document) if edited is None else edited
@@ -36,7 +37,7 @@ def _edited(text: str, wanted: dict[str, Any], path: Sequence[str]) -> Iterator[
                 edited = apply(text.rstrip("\n") + "\n" + room, [change])
             except (EditError, tomllib.TOMLDecodeError):
                 continue
-            if tomllib.loads(edited) == wanted:
+            if tables(edited) == wanted:
                 yield edited
 
 
