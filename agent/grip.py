@@ -13,7 +13,7 @@ SETTLE_S = 0.25  # so long the fingers stand before they are believed
 MOVES_M = 1e-3  # less than this is no motion
 
 
-class Verdict(enum.Enum):
+class GripResult(enum.Enum):
     """What came of a gripper that was told to close, or to open."""
 
     MOVING = "is still moving"
@@ -53,23 +53,23 @@ class GripPlan:
         standing = abs(state.speed_m_per_s) <= STILL_M_PER_S
         return watch if standing else watch._replace(still_since_ns=state.stamp_ns)
 
-    def closing(self, watch: Watch, state: GripState) -> Verdict:
+    def closing(self, watch: Watch, state: GripState) -> GripResult:
         """What came of closing so far."""
         if not self._settled(watch, state):
-            return Verdict.MOVING
+            return GripResult.MOVING
         if abs(state.width_m - watch.from_m) < MOVES_M and state.width_m > self.width_m + self.tolerance_m:
-            return Verdict.STUCK
+            return GripResult.STUCK
         if state.width_m < self.width_m - self.tolerance_m:
-            return Verdict.NOTHING
+            return GripResult.NOTHING
         if state.width_m > self.width_m + self.tolerance_m:
-            return Verdict.TOO_EARLY
-        return Verdict.HOLDS if state.effort >= 0.5 * self.effort else Verdict.NO_FORCE
+            return GripResult.TOO_EARLY
+        return GripResult.HOLDS if state.effort >= 0.5 * self.effort else GripResult.NO_FORCE
 
-    def opening(self, watch: Watch, state: GripState) -> Verdict:
+    def opening(self, watch: Watch, state: GripState) -> GripResult:
         """What came of opening so far."""
         if state.width_m >= self.open_m - self.tolerance_m:
-            return Verdict.OPEN
-        return Verdict.STUCK if self._settled(watch, state) else Verdict.MOVING
+            return GripResult.OPEN
+        return GripResult.STUCK if self._settled(watch, state) else GripResult.MOVING
 
     def lost(self, state: GripState) -> bool:
         """Whether fingers that held the object are nearer together than it is wide."""

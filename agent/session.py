@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from agent import phases
 from agent.control.life import Life
 from agent.control.memory import Memory
-from agent.grip import GripPlan, Verdict, Watch
+from agent.grip import GripPlan, GripResult, Watch
 from agent.loop import Agent, Outcome
 from agent.modes import Event, Mode
 from agent.standing import hold_after, hold_here
@@ -42,9 +42,9 @@ _UNFINISHED = {
     Mode.RELEASE: "the gripper is not open yet",
 }
 _OPENING = frozenset({Mode.APPROACH, Mode.HALT})  # in which the gripper may still be on its way
-_MEND: dict[Verdict, str] = {
-    Verdict.STUCK: "free its fingers",
-    Verdict.NO_FORCE: "it is open again: see what keeps its fingers apart",
+_MEND: dict[GripResult, str] = {
+    GripResult.STUCK: "free its fingers",
+    GripResult.NO_FORCE: "it is open again: see what keeps its fingers apart",
 }
 _MEND_ELSE = "it is open again: put the object in its place"
 
@@ -174,7 +174,7 @@ class SessionLoop:
 
     def _is_opening(self) -> bool:
         watch, state = self._watch, self._state
-        return watch is not None and state is not None and self._plan.opening(watch, state) is Verdict.MOVING
+        return watch is not None and state is not None and self._plan.opening(watch, state) is GripResult.MOVING
 
     def _done(self, mode: Mode, memory: Memory) -> bool:
         return phases.arrived(self._life, mode, memory) and (mode is not Mode.RELEASE or self._open)
@@ -200,10 +200,10 @@ class SessionLoop:
             return Event.ARRIVED
         return Event.NONE
 
-    def _closed(self, verdict: Verdict, state: GripState) -> Event:
-        if verdict is Verdict.MOVING:
+    def _closed(self, verdict: GripResult, state: GripState) -> Event:
+        if verdict is GripResult.MOVING:
             return Event.NONE
-        if verdict is Verdict.HOLDS:
+        if verdict is GripResult.HOLDS:
             return Event.GRIPPED
         wanted = f"{self._plan.width_m * 1e3:.1f} mm"
         self.reason = (
@@ -212,10 +212,10 @@ class SessionLoop:
         )
         return Event.NOT_GRIPPED
 
-    def _opened(self, verdict: Verdict, state: GripState) -> Event:
-        if verdict is Verdict.OPEN:
+    def _opened(self, verdict: GripResult, state: GripState) -> Event:
+        if verdict is GripResult.OPEN:
             self._open = True
-        elif verdict is Verdict.STUCK:
+        elif verdict is GripResult.STUCK:
             return self._trouble(
                 f"the gripper {verdict.value}: found {state.width_m * 1e3:.1f} mm, expected "
                 f"{self._plan.open_m * 1e3:.1f} mm; free it, then `coop approach` or `coop park`"

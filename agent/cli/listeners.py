@@ -24,7 +24,7 @@ def inject(cell: Cell, faults: Sequence[Injection], seed: int, out: Path | None,
     """Carry these out on the processes of a lockstep run.  Raises Refusal; typer.Exit with 1 where a torque differs."""
     from agent.cli.progress import RunProgress
     from agent.faults.heard import heard
-    from agent.faults.judge import Verdict
+    from agent.faults.judge import RowResult
     from agent.faults.listeners import logs_left, rehearse_listeners
     from agent.faults.log import require_new
     from agent.host.child import ChildFailed
@@ -51,7 +51,7 @@ def inject(cell: Cell, faults: Sequence[Injection], seed: int, out: Path | None,
         _say(run.faults, found)
         for log in left:
             typer.echo(f"log               {log}")
-    if found.verdict is Verdict.MISSED:
+    if found.verdict is RowResult.MISSED:
         raise typer.Exit(1)
 
 

@@ -71,7 +71,7 @@ def replay(
 def _show_same(log: Path, other: Path, *, as_json: bool) -> None:
     from agent.log.read import open_log
     from agent.replay.same import same
-    from agent.replay.show import same_lines, verdict_document
+    from agent.replay.show import comparison_document, same_lines
 
     with Steps() as step:
         step("reading the logs")
@@ -79,7 +79,7 @@ def _show_same(log: Path, other: Path, *, as_json: bool) -> None:
             verdict = same(a, b)
     notes = [f"{read.path}: {problem}" for read in (a, b) for problem in read.problems]
     if as_json:
-        print_json(verdict_document(a, verdict, notes) | {"other": str(other)})
+        print_json(comparison_document(a, verdict, notes) | {"other": str(other)})
     else:
         for line in (*notes, *verdict.notes):
             note(line)
@@ -89,18 +89,18 @@ def _show_same(log: Path, other: Path, *, as_json: bool) -> None:
 
 
 def _show_verdict(log: ColumnLog, cell: Cell, window: Window, arm: str | None, step: Steps, *, as_json: bool) -> None:
-    from agent.replay.show import verdict_document, verdict_lines, version_notes
+    from agent.replay.show import comparison_document, comparison_lines, version_notes
     from agent.replay.verify import verify
 
     verdict = verify(log, cell, window, arm, step)
     step.clear()
     notes = [*log.problems, *version_notes(log)]
     if as_json:
-        print_json(verdict_document(log, verdict, notes))
+        print_json(comparison_document(log, verdict, notes))
     else:
         for line in (*notes, *verdict.notes):
             note(f"{log.path}: {line}")
-        typer.echo("\n".join(verdict_lines(verdict)))
+        typer.echo("\n".join(comparison_lines(verdict)))
     if not verdict.equal:
         raise typer.Exit(DIFFERENT)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config.cell import Cell
-from agent.faults.judge import Verdict
+from agent.faults.judge import RowResult
 from agent.faults.listeners import Rehearsed
 from agent.log.read import COMPLETENESS, LogError, RunLog, read_log
 from agent.study.lab import Laboratory, Run
@@ -61,12 +61,12 @@ class Heard:
     sent: int  # by strangers
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> RowResult:
         """Whether no torque differs, no log has what its member never wrote, and none that lacks rows is complete."""
         same = all(one.same for one in self.torque.values())
         own = not any(one.foreign for one in self.kept.values())
         honest = not self.complete or not any(one.missing for one in self.kept.values())
-        return Verdict.MET if same and own and honest else Verdict.MISSED
+        return RowResult.MET if same and own and honest else RowResult.MISSED
 
     def document(self) -> dict[str, Any]:
         """As JSON has it."""

@@ -15,7 +15,7 @@ from agent.faults.measure import GONE, Measured, measured
 from agent.faults.rehearse import rehearse
 
 
-class Verdict(enum.StrEnum):
+class RowResult(enum.StrEnum):
     """Of a row, or of one of its runs."""
 
     MET = "met"
@@ -32,9 +32,9 @@ class Judged:
     missed: tuple[str, ...]
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> RowResult:
         """Whether it holds all of its bounds."""
-        return Verdict.MISSED if self.missed else Verdict.MET
+        return RowResult.MISSED if self.missed else RowResult.MET
 
     def document(self) -> dict[str, Any]:
         """As JSON has it."""

@@ -20,7 +20,7 @@ from agent.config import floating, session
 from agent.config.cell import Arm, Cell
 from agent.config.schema.floating import Floating
 from agent.config.servo_map import arm_map, fingers_of
-from agent.grip import Verdict, Watch
+from agent.grip import GripResult, Watch
 from agent.host.notify import Notifier
 from agent.loop import Agent, initial_memory
 from agent.modes import Event, Mode
@@ -267,7 +267,7 @@ class Grasp:
             return
         self._watch = self._plan.begin(state) if self._watch is None else self._plan.watch(self._watch, state)
         verdict = self._plan.closing(self._watch, state)
-        if verdict is not Verdict.MOVING:
+        if verdict is not GripResult.MOVING:
             self._done = True
-            level = Level.INFO if verdict is Verdict.HOLDS else Level.WARN
+            level = Level.INFO if verdict is GripResult.HOLDS else Level.WARN
             self._tell.event(level, f"gripper {verdict.value}, {state.width_m * 1e3:.1f} mm", width_m=state.width_m)

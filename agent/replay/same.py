@@ -11,39 +11,39 @@ from agent.log.columns import BLOCK_ROWS, Table
 from agent.log.read import ColumnLog
 from agent.log.run import members_of
 from agent.replay.source import ReplayError
-from agent.replay.verify import ArmVerdict, Difference, Verdict
+from agent.replay.verify import ArmComparison, Comparison, Difference
 from agent.telemetry.row.sample import Layout
 
 
-def same(a: ColumnLog, b: ColumnLog) -> Verdict:
+def same(a: ColumnLog, b: ColumnLog) -> Comparison:
     """Arms and plant of both logs; rows that only one of them has are left out, and then they are not equal.
 
     Raises ReplayError for logs of different releases, or without a row in common.
     """
     mine, theirs = members_of(a), members_of(b)
-    verdicts, notes = [], []
+    arms, notes = [], []
     for name in dict.fromkeys((*mine, *theirs)):
         if name not in mine or name not in theirs:
             only = a if name in mine else b
             notes.append(f"{name}: only in {only.path}")
-            verdicts.append(ArmVerdict(name, 0, 0, len(members_of(only)[name]), None, 0.0))
+            arms.append(ArmComparison(name, 0, 0, len(members_of(only)[name]), None, 0.0))
             continue
         if a.layouts[name] != b.layouts[name]:
             raise ReplayError(
                 f"rows of {name}", found=f"other fields in {b.path} than in {a.path}", expected="logs of one release",
                 remedy="compare their figures: `coop compare`",
             )  # fmt: skip
-        verdicts.append(_of_member(name, mine[name], theirs[name], a.layouts[name]))
-    verdict = Verdict(tuple(verdicts), tuple(notes))
-    if not verdict.rows:
+        arms.append(_of_member(name, mine[name], theirs[name], a.layouts[name]))
+    compared = Comparison(tuple(arms), tuple(notes))
+    if not compared.rows:
         raise ReplayError(
             f"{a.path} and {b.path}", found="no row of the same arm and number", expected="logs of one cell",
             remedy="compare their figures: `coop compare`",
         )  # fmt: skip
-    return verdict
+    return compared
 
 
-def _of_member(name: str, a: Table, b: Table, layout: Layout) -> ArmVerdict:
+def _of_member(name: str, a: Table, b: Table, layout: Layout) -> ArmComparison:
     _, i, j = np.intersect1d(a["sequence"], b["sequence"], assume_unique=True, return_indices=True)
     fields = [f.name for f in layout.fields if not f.timing]
     different, first, largest = 0, None, 0.0
@@ -57,7 +57,7 @@ def _of_member(name: str, a: Table, b: Table, layout: Layout) -> ArmVerdict:
             largest = max(largest, float(np.nanmax(gap, initial=0.0)))
         if first is None and apart.any():
             first = _difference(name, one[apart][0], other[apart][0], fields)
-    return ArmVerdict(name, len(i), different, len(a) + len(b) - 2 * len(i), first, largest)
+    return ArmComparison(name, len(i), different, len(a) + len(b) - 2 * len(i), first, largest)
 
 
 def _pairs(a: Table, b: Table, layout: Layout) -> Iterator[tuple[NDArray[np.void], NDArray[np.void]]]:

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from agent.host.info import versions
 from agent.log.read import AnyLog, LogError
-from agent.replay.verify import Difference, Verdict
+from agent.replay.verify import Comparison, Difference
 from agent.replay.whatif import ArmTorques
 from agent.report.quantity import json_ready
 
@@ -19,32 +19,32 @@ SCHEMA: Final = 1
 ROUNDING_Nm: Final = 1e-9  # of torques: what another processor or library may leave
 
 
-def verdict_lines(verdict: Verdict) -> list[str]:
+def comparison_lines(compared: Comparison) -> list[str]:
     """What was compared, what differs, and where it begins."""
     lines = []
-    for arm in verdict.arms:
+    for arm in compared.arms:
         differ = f"{arm.different} differ, torque by up to {arm.torque_difference_Nm:.3g} N·m"
         told = (
             f"{arm.rows} rows replayed, {differ if arm.different else 'all equal'}" if arm.rows else "no row replayed"
         )
         lines.append(f"{arm.arm:<12} {told}" + (f"; {arm.left_out} left out" if arm.left_out else ""))
-    first = verdict.first
+    first = compared.first
     if first is not None:
         lines.append(f"first difference: {_said(first)}")
-        if 0.0 < max(arm.torque_difference_Nm for arm in verdict.arms) < ROUNDING_Nm:
+        if 0.0 < max(arm.torque_difference_Nm for arm in compared.arms) < ROUNDING_Nm:
             lines.append("differences of this size are rounding: another processor, or other versions of the libraries")
     return lines
 
 
-def same_lines(verdict: Verdict) -> list[str]:
+def same_lines(compared: Comparison) -> list[str]:
     """What two logs have in common."""
     lines = []
-    for arm in verdict.arms:
+    for arm in compared.arms:
         differ = f"{arm.different} differ" if arm.different else "all equal but for timing"
         told = f"{arm.rows} rows in both, {differ}" if arm.rows else "no row in both"
         more = f"; {arm.left_out} only in one of the logs" if arm.left_out else ""
         lines.append(f"{arm.arm:<12} {told}{more}")
-    first = verdict.first
+    first = compared.first
     return lines if first is None else [*lines, f"first difference: {_said(first, ('here', 'there'))}"]
 
 
@@ -69,25 +69,25 @@ def version_notes(log: AnyLog) -> list[str]:
     return [f"recorded with {', '.join(other)}"] if other else []
 
 
-def verdict_document(log: AnyLog, verdict: Verdict, notes: Sequence[str]) -> dict[str, Any]:
+def comparison_document(log: AnyLog, compared: Comparison, notes: Sequence[str]) -> dict[str, Any]:
     """The same for scripts."""
-    first = verdict.first
+    first = compared.first
     document = {
         "schema": SCHEMA,
         "log": str(log.path),
-        "equal": verdict.equal,
-        "rows_compared": verdict.rows,
-        "rows_different": verdict.different,
+        "equal": compared.equal,
+        "rows_compared": compared.rows,
+        "rows_different": compared.different,
         "first_difference": None if first is None else _difference(first),
         "arms": {
             arm.arm: {
                 "rows_compared": arm.rows, "rows_different": arm.different, "rows_left_out": arm.left_out,
                 "max_torque_difference_Nm": arm.torque_difference_Nm,
             }
-            for arm in verdict.arms
+            for arm in compared.arms
         },
         "complete": log.complete,
-        "notes": [*notes, *verdict.notes],
+        "notes": [*notes, *compared.notes],
         "machine": platform.machine(),
     }  # fmt: skip
     ready: dict[str, Any] = json_ready(document)

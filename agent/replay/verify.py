@@ -45,7 +45,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmVerdict:
+class ArmComparison:
     """One arm's rows against the same rows computed again."""
 
     arm: str
@@ -57,10 +57,10 @@ class ArmVerdict:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Comparison:
     """All arms; `notes` say what the comparison could not cover."""
 
-    arms: tuple[ArmVerdict, ...]
+    arms: tuple[ArmComparison, ...]
     notes: tuple[str, ...]
 
     @property
@@ -87,7 +87,7 @@ class Verdict:
 
 def verify(
     log: ColumnLog, cell: Cell, window: Window, arm: str | None = None, tell: Callable[[str], None] = lambda _: None
-) -> Verdict:
+) -> Comparison:
     """Replay the rows of the window through agents of the log's own cell.
 
     Raises ReplayError where nothing can be compared, ConfigError for an arm that the cell has not.
@@ -104,13 +104,13 @@ def verify(
         looped = cell.file.hil is not None and name in cell.file.hil.arms
         checked = _Verifier(build_agent(cell, cell.arm(name)), cell.config_id, readable, in_the_loop=looped)
         arms.append(checked.run(rows, blocks(rows, layout, readable)))
-    verdict = Verdict(tuple(arms), tuple(notes))
-    if not verdict.rows:
+    compared = Comparison(tuple(arms), tuple(notes))
+    if not compared.rows:
         raise ReplayError(
             f"nothing to replay in {log.path}", found="no row from there on", expected="rows of an arm",
             remedy="begin earlier",
         )  # fmt: skip
-    return verdict
+    return compared
 
 
 class _Verifier:
@@ -130,13 +130,13 @@ class _Verifier:
         self._first: Difference | None = None
         self._largest_Nm = 0.0
 
-    def run(self, table: Table, parts: Iterator[Rows]) -> ArmVerdict:
-        """The verdict on all rows of the table; parts: the same rows block by block."""
+    def run(self, table: Table, parts: Iterator[Rows]) -> ArmComparison:
+        """The comparison of all rows of the table; parts: the same rows block by block."""
         clock = _Clock.of(table)
         with np.errstate(all="ignore"):  # a damaged number may be anything; what comes of it is compared
             for rows in parts:
                 self._block(rows, clock)
-        return ArmVerdict(
+        return ArmComparison(
             self._agent.name, self._rows, self._different, self._left_out, self._first, self._largest_Nm
         )  # fmt: skip
 

@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from agent.atomic import write_atomically
 from agent.faults.catalogue import Row, rows
-from agent.faults.judge import Judged, Verdict, show
+from agent.faults.judge import Judged, RowResult, show
 from agent.study.work import cores
 from drivers.interface import Refusal
 from tests.faults.false_trips import false_trips
@@ -50,11 +50,11 @@ def main() -> int:
         say(found.told())
         for trip in found.trips:
             say(f"      {trip}")
-    counted = {v.value: sum(d["verdict"] == v.value for d in documents) for v in Verdict}
+    counted = {v.value: sum(d["verdict"] == v.value for d in documents) for v in RowResult}
     say(", ".join(f"{count} {name}" for name, count in counted.items()))
     if out := os.environ.get("FAULTS_OUT"):
         write_atomically(Path(out), json.dumps(documents, indent=1, allow_nan=False).encode() + b"\n")
-    return 1 if counted[Verdict.MISSED.value] else 0
+    return 1 if counted[RowResult.MISSED.value] else 0
 
 
 def run_rows(chosen: Sequence[Row]) -> list[dict[str, Any]]:
@@ -75,7 +75,7 @@ def judged(row: Row, shown: Sequence[Judged], tested: Mapping[str, Outcome]) -> 
     """One row as JSON has it: worst of its runs, and its tests."""
     failed, ran = of_row(row.tests, tested)
     missed = [f"{each.shown.cell}: {text}" for each in shown for text in each.missed] + failed
-    verdict = Verdict.MISSED if missed else Verdict.MET if shown or ran else Verdict.NOT_TESTED
+    verdict = RowResult.MISSED if missed else RowResult.MET if shown or ran else RowResult.NOT_TESTED
     return {
         "id": row.id,
         "verdict": verdict.value,
@@ -85,7 +85,7 @@ def judged(row: Row, shown: Sequence[Judged], tested: Mapping[str, Outcome]) -> 
         "internal_force_N": worst([each.measured.internal_N for each in shown]),
         "sag_m": worst([each.measured.sag_m for each in shown]),
         "missed": missed,
-        "why_not": row.untested or "its tests were left out or skipped" if verdict is Verdict.NOT_TESTED else None,
+        "why_not": row.untested or "its tests were left out or skipped" if verdict is RowResult.NOT_TESTED else None,
         "tests": {node: tested[node].kind if node in tested else "left out" for node in row.tests},
         "runs": [each.document() for each in shown],
     }
@@ -109,7 +109,7 @@ def together(row: Row, seeds: Sequence[int]) -> dict[str, Any]:
     with ProcessPoolExecutor(cores(), mp_context=multiprocessing.get_context("spawn")) as pool:
         pairs: list[Pair] = list(pool.map(pair, seeds))
     missed = [f"seed {one.seed}, {one.cell}: {text}" for one in pairs for text in one.missed]
-    verdict = Verdict.NOT_TESTED if not pairs else Verdict.MISSED if missed else Verdict.MET
+    verdict = RowResult.NOT_TESTED if not pairs else RowResult.MISSED if missed else RowResult.MET
     return {
         "id": row.id,
         "verdict": verdict.value,

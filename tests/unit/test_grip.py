@@ -12,7 +12,7 @@ import configs
 from agent.config.cell import ConfigError, cell_from_toml, load_cell
 from agent.config.schema.arm import GRIP_KEYS, GripperJoint
 from agent.config.session import MEASURED, fingers, grip_plan
-from agent.grip import GripPlan, Verdict
+from agent.grip import GripPlan, GripResult
 from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.fingers import Fingers
 from drivers.interface import GripState
@@ -26,7 +26,7 @@ def said(at_ms: int, width_m: float, speed: float = 0.0, effort: float = 0.25) -
     return GripState(at_ms * MS, width_m, speed, effort, 10.0)
 
 
-def closed(width_m: float, effort: float = 0.25, from_m: float = 0.074) -> list[Verdict]:
+def closed(width_m: float, effort: float = 0.25, from_m: float = 0.074) -> list[GripResult]:
     """Verdicts while fingers close to a width within half a second and stand there."""
     watch = PLAN.begin(said(0, from_m))
     verdicts = []
@@ -42,32 +42,32 @@ def closed(width_m: float, effort: float = 0.25, from_m: float = 0.074) -> list[
 @pytest.mark.parametrize(
     ("width_mm", "effort", "verdict"),
     [
-        (44.0, 0.25, Verdict.HOLDS), (46.9, 0.25, Verdict.HOLDS), (41.1, 0.25, Verdict.HOLDS),
-        (30.0, 0.25, Verdict.NOTHING), (40.9, 0.25, Verdict.NOTHING), (47.1, 0.25, Verdict.TOO_EARLY),
-        (44.0, 0.1, Verdict.NO_FORCE), (74.0, 0.25, Verdict.STUCK),
+        (44.0, 0.25, GripResult.HOLDS), (46.9, 0.25, GripResult.HOLDS), (41.1, 0.25, GripResult.HOLDS),
+        (30.0, 0.25, GripResult.NOTHING), (40.9, 0.25, GripResult.NOTHING), (47.1, 0.25, GripResult.TOO_EARLY),
+        (44.0, 0.1, GripResult.NO_FORCE), (74.0, 0.25, GripResult.STUCK),
     ],
 )  # fmt: skip
-def test_what_closed_fingers_hold(width_mm: float, effort: float, verdict: Verdict) -> None:
+def test_what_closed_fingers_hold(width_mm: float, effort: float, verdict: GripResult) -> None:
     verdicts = closed(width_mm * 1e-3, effort)
     first = verdicts.index(verdict)
-    assert set(verdicts[:first]) <= {Verdict.MOVING}
+    assert set(verdicts[:first]) <= {GripResult.MOVING}
     assert set(verdicts[first:]) == {verdict}
-    assert 0.5 <= 5e-3 * first <= 1.0 or verdict is Verdict.STUCK
+    assert 0.5 <= 5e-3 * first <= 1.0 or verdict is GripResult.STUCK
 
 
 def test_fingers_that_never_stand_are_judged_in_the_end() -> None:
     watch = PLAN.begin(said(0, 0.074))
     state = said(4100, 0.060, -0.05)
-    assert PLAN.closing(PLAN.watch(watch, state), state) is Verdict.TOO_EARLY
+    assert PLAN.closing(PLAN.watch(watch, state), state) is GripResult.TOO_EARLY
     early = said(3900, 0.060, -0.05)
-    assert PLAN.closing(PLAN.watch(watch, early), early) is Verdict.MOVING
+    assert PLAN.closing(PLAN.watch(watch, early), early) is GripResult.MOVING
 
 
 def test_opening_is_done_at_the_open_width_and_stuck_short_of_it() -> None:
     watch = PLAN.begin(said(0, 0.044))
-    assert PLAN.opening(watch, said(600, 0.072)) is Verdict.OPEN
-    assert PLAN.opening(watch, said(300, 0.05)) is Verdict.MOVING
-    assert PLAN.opening(watch, said(600, 0.05)) is Verdict.STUCK
+    assert PLAN.opening(watch, said(600, 0.072)) is GripResult.OPEN
+    assert PLAN.opening(watch, said(300, 0.05)) is GripResult.MOVING
+    assert PLAN.opening(watch, said(600, 0.05)) is GripResult.STUCK
 
 
 def test_an_object_is_lost_when_the_fingers_come_nearer_than_it_is_wide() -> None:

@@ -18,7 +18,7 @@ import pytest
 
 from agent.config.cell import load_cell
 from agent.faults.heard import Kept, heard
-from agent.faults.judge import Verdict
+from agent.faults.judge import RowResult
 from agent.faults.listeners import Struck, rehearse_listeners
 from agent.faults.plan import NAMES, OF_LISTENERS, Injection
 from agent.faults.strikes import Strike
@@ -75,7 +75,7 @@ def test_who_goes_on_or_is_started_anew_has_every_row_and_the_torques_are_the_sa
     run = rehearse_listeners(cell, faults, 1, tmp_path / "run.mcap", Nobody())
     assert [log.name for log in run.logs] == ["run.mcap", "run_2.mcap"]
     found = heard(run)
-    assert found.verdict is Verdict.MET
+    assert found.verdict is RowResult.MET
     assert found.kept == {member: Kept(rows, rows, 0) for member, rows in WRITTEN.items()}
     assert found.left_out == {"no batch header": 600, "unknown key": 400, "wrong cell or layout": 2}
     last = read_log(run.logs[1])

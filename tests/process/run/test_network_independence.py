@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from agent.config.cell import load_cell
 from agent.faults.heard import heard
-from agent.faults.judge import Verdict
+from agent.faults.judge import RowResult
 from agent.faults.listeners import rehearse_listeners
 from agent.faults.plan import Injection
 from agent.log.read import read_log
@@ -114,7 +114,7 @@ def bereft(folder: Path) -> dict[str, NDArray[np.void]]:
         run = rehearse_listeners(cell, faults, 1, folder / "run.mcap", Nobody(), listen=endpoint)
     assert sent[0] > 1000
     found = heard(run)
-    assert found.verdict is Verdict.MET
+    assert found.verdict is RowResult.MET
     assert not found.complete
     assert all(found.kept[arm].logged <= 60 for arm in ("left", "right"))  # of 120: what came before 0.2 s at most
     return {arm: run.rows[arm] for arm in ("left", "right")}

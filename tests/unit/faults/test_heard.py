@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agent.config.cell import load_cell
 from agent.faults import heard as module
 from agent.faults.heard import Heard, Kept, Torque, compared, heard, kept, left_out, undisturbed
-from agent.faults.judge import Verdict
+from agent.faults.judge import RowResult
 from agent.faults.listeners import Rehearsed
 from agent.log.read import LogError, RunLog
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
@@ -91,16 +91,16 @@ def test_what_was_left_out_is_summed_over_the_logs() -> None:
 @pytest.mark.parametrize(
     ("torque", "one", "complete", "verdict"),
     [
-        (Torque(20, None), Kept(20, 20, 0), True, Verdict.MET),
-        (Torque(20, None), Kept(20, 5, 0), False, Verdict.MET),
-        (Torque(20, 3), Kept(20, 20, 0), True, Verdict.MISSED),
-        (Torque(20, None), Kept(20, 20, 1), True, Verdict.MISSED),
-        (Torque(20, None), Kept(20, 19, 0), True, Verdict.MISSED),
+        (Torque(20, None), Kept(20, 20, 0), True, RowResult.MET),
+        (Torque(20, None), Kept(20, 5, 0), False, RowResult.MET),
+        (Torque(20, 3), Kept(20, 20, 0), True, RowResult.MISSED),
+        (Torque(20, None), Kept(20, 20, 1), True, RowResult.MISSED),
+        (Torque(20, None), Kept(20, 19, 0), True, RowResult.MISSED),
     ],
     ids=["undisturbed", "lacking and saying so", "a torque", "a foreign row", "lacking and called complete"],
 )
 def test_a_torque_a_foreign_row_and_a_log_that_is_not_true_are_a_miss(
-    torque: Torque, one: Kept, complete: bool, verdict: Verdict
+    torque: Torque, one: Kept, complete: bool, verdict: RowResult
 ) -> None:
     fine = Torque(20, None), Kept(20, 20, 0)
     found = Heard({"left": fine[0], "right": torque}, {"left": fine[1], "right": one}, complete, (), {}, 0)
@@ -124,7 +124,7 @@ def test_a_run_is_held_against_the_same_cell_which_nobody_disturbs(monkeypatch: 
 
     monkeypatch.setattr(module, "read_log", read)
     found = heard(Rehearsed(cell, (), own, (Path("a"),), 2))
-    assert (found.verdict, found.complete, found.left_out, found.sent) == (Verdict.MET, True, {"unknown key": 2}, 2)
+    assert (found.verdict, found.complete, found.left_out, found.sent) == (RowResult.MET, True, {"unknown key": 2}, 2)
     assert not heard(Rehearsed(cell, (), own, (Path("a"), Path("b")), 0)).complete
     found = heard(Rehearsed(cell, (), own, (Path("a"), Path("c")), 0))
     assert not found.complete
@@ -132,7 +132,7 @@ def test_a_run_is_held_against_the_same_cell_which_nobody_disturbs(monkeypatch: 
     last = own["right"]["tau_limited"][21]
     last[2] = np.nextafter(last[2], np.inf)
     found = heard(Rehearsed(cell, (), own, (Path("a"),), 0))
-    assert (found.verdict, found.torque["right"].differs_at) == (Verdict.MISSED, 21)
+    assert (found.verdict, found.torque["right"].differs_at) == (RowResult.MISSED, 21)
     assert found.torque["left"].same
     del own["right"]
     assert heard(Rehearsed(cell, (), own, (Path("a"),), 0)).torque["right"] == Torque(30, 0)

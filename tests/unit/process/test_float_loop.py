@@ -15,7 +15,7 @@ from agent.around import Beginning, RunSummary
 from agent.config import floating
 from agent.config.cell import Cell, load_cell
 from agent.config.schema.cell import DriverKind
-from agent.grip import Verdict
+from agent.grip import GripResult
 from agent.loop import Agent, initial_memory
 from agent.modes import Event, Mode
 from agent.process import float_loop
@@ -305,10 +305,10 @@ def test_an_arm_that_floats_with_the_object_closes_its_gripper_first(monkeypatch
 
 @pytest.mark.parametrize(
     ("width_m", "effort", "level", "verdict"),
-    [(0.0, 1.0, Level.INFO, Verdict.HOLDS), (-0.02, 1.0, Level.WARN, Verdict.NOTHING)],
+    [(0.0, 1.0, Level.INFO, GripResult.HOLDS), (-0.02, 1.0, Level.WARN, GripResult.NOTHING)],
 )
 def test_what_came_of_closing_is_told_once(
-    monkeypatch: pytest.MonkeyPatch, width_m: float, effort: float, level: Level, verdict: Verdict
+    monkeypatch: pytest.MonkeyPatch, width_m: float, effort: float, level: Level, verdict: GripResult
 ) -> None:
     """width_m: beyond that of the object."""
     bench = Bench(monkeypatch, "left", *HOLDING)

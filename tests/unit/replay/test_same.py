@@ -12,7 +12,7 @@ import pytest
 from agent.log.columns import BLOCK_ROWS, Table
 from agent.replay.same import same
 from agent.replay.source import ReplayError
-from agent.replay.verify import ArmVerdict
+from agent.replay.verify import ArmComparison
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from tests.support.telemetry.telemetry_cell import make_rows
@@ -36,7 +36,7 @@ def test_an_arm_that_only_one_log_has_is_named_and_its_rows_are_left_out() -> No
     for verdict in (same(one, both), same(both, one)):
         assert verdict.notes == ("right: only in both.mcap",)
         assert verdict.arms == (
-            ArmVerdict("left", 30, 0, 0, None, 0.0), ArmVerdict("right", 0, 0, 20, None, 0.0)
+            ArmComparison("left", 30, 0, 0, None, 0.0), ArmComparison("right", 0, 0, 20, None, 0.0)
         )  # fmt: skip
         assert not verdict.equal
 

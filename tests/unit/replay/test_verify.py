@@ -14,7 +14,7 @@ from agent.log.read import open_log
 from agent.modes import Event, Mode
 from agent.replay.rows import Window
 from agent.replay.source import ReplayError, recorded_cell
-from agent.replay.verify import ArmVerdict, Difference, Verdict, verify
+from agent.replay.verify import ArmComparison, Comparison, Difference, verify
 from agent.safety import Flag
 from agent.telemetry.row.sample import AGENT_FIELDS
 from tests.support.few import few
@@ -25,12 +25,12 @@ from tests.support.telemetry.run_log import flipped, write_other_release, write_
 WX200 = configs.CELLS_DIR / "identify_wx200.toml"
 
 
-def verified(path: Path, window: Window = Window(), arm: str | None = None) -> Verdict:  # noqa: B008
+def verified(path: Path, window: Window = Window(), arm: str | None = None) -> Comparison:  # noqa: B008
     with open_log(path, any_layout=True) as log:
         return verify(log, recorded_cell(log), window, arm)
 
 
-def replayed(folder: Path, rows: np.ndarray, cell: Cell | None = None, window: Window = Window()) -> Verdict:  # noqa: B008
+def replayed(folder: Path, rows: np.ndarray, cell: Cell | None = None, window: Window = Window()) -> Comparison:  # noqa: B008
     cell = cell or paper()
     return verified(write_run(folder / "run.mcap", cell, {cell.arms[0].name: rows}), window)
 
@@ -222,15 +222,15 @@ def test_a_bit_of_any_field_that_is_compared_is_found(tmp_path: Path) -> None:
 
 def test_the_first_difference_is_that_of_the_earliest_row() -> None:
     late, early = (Difference(arm, row, 0.0, "q", 0, 0.0, 1.0, ("q",)) for arm, row in (("left", 9), ("right", 4)))
-    verdict = Verdict((ArmVerdict("left", 9, 1, 0, late, 0.0), ArmVerdict("right", 9, 1, 0, early, 0.0)), ())
+    verdict = Comparison((ArmComparison("left", 9, 1, 0, late, 0.0), ArmComparison("right", 9, 1, 0, early, 0.0)), ())
     assert verdict.first is early
 
 
 def test_a_verdict_is_equal_where_no_arm_differs_or_left_a_row_out() -> None:
-    good, other, short = (ArmVerdict("left", 9, d, n, None, 0.0) for d, n in ((0, 0), (1, 0), (0, 1)))
-    assert Verdict((good, good), ()).equal
+    good, other, short = (ArmComparison("left", 9, d, n, None, 0.0) for d, n in ((0, 0), (1, 0), (0, 1)))
+    assert Comparison((good, good), ()).equal
     for arms in ((good, other), (short, good), (good, short), (short, short)):
-        assert not Verdict(arms, ()).equal
+        assert not Comparison(arms, ()).equal
 
 
 def test_it_says_at_which_arm_it_is(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from agent.process.build import build_agent
 from agent.replay.chain import Chain
 from agent.replay.rows import Window
 from agent.replay.source import recorded_cell
-from agent.replay.verify import Verdict, verify
+from agent.replay.verify import Comparison, verify
 from agent.safety import Flag
 from drivers.interface import JointState, Vector
 from tests.support.runner_rig import fault, lost_at, paper, period_ns, q_start, run, wandering
@@ -24,7 +24,7 @@ from tests.support.session_script import TO_READY, Script, cell, floating, guide
 from tests.support.telemetry.run_log import write_run
 
 
-def replayed(folder: Path, of: Cell, rows: np.ndarray, begin: int) -> Verdict:
+def replayed(folder: Path, of: Cell, rows: np.ndarray, begin: int) -> Comparison:
     path = write_run(folder / f"{begin}.mcap", of, {of.arms[0].name: rows})
     with open_log(path) as log:
         return verify(log, recorded_cell(log), Window(from_row=begin))
