@@ -30,13 +30,13 @@ from agent.control.estimator import Observer
 from agent.control.models import ArmModel
 from agent.verify.chatter import Shaking
 from agent.verify.check import reach, start_configurations
-from agent.verify.criterion.cases import Loop
+from agent.verify.criterion.cases import Loop, Ranges
 from agent.verify.criterion.examine import Criterion, examine
 from agent.verify.margin import Damping, Place, damping, damping_at, places, sampled_loop
 from agent.verify.proposed import changed
 from agent.verify.robustness import Walk, loop_of, poses, ranges_of
 from agent.verify.scale import Scale
-from agent.verify.stiffest import Search, Wanted, binding, scaled
+from agent.verify.stiffest import Binding, Search, Wanted, binding, scaled
 from drivers.interface import Vector
 
 PLACES: Final = 12  # along the trajectory
@@ -182,15 +182,38 @@ class Tuner:
         if found.kept:
             return found.scale
         inertia = "tolerance.masses" if cell.tolerance.masses >= ranges.inertia_error else "safety.inertia_error"
-        keys, least = binding(self._poses, scaled(loop, found.scale), ranges, wanted, inertia)
-        exact = "gains could be found" if least <= margin.worst * (1.0 + 1e-9) else f"it would be {least:.4f}"
+        binds, least = binding(self._poses, scaled(loop, found.scale), ranges, wanted, inertia)
         raise NoGains(
             f"gains for {cell.file.name} at {cell.file.rate_hz:g} Hz",
             found=f"none; the nearest have a radius of {found.worst.radius:.4f} ({found.worst.case.demand.value}) "
             f"and {found.noise:.2f} times the torque noise",
             expected=f"at most {margin.worst:g} whatever of the stated tolerance is true, and no more noise",
-            remedy=f"{' or '.join(keys)} binds ({exact} without): state less of it if that is true, or raise rate_hz",
+            remedy=self._less(binds, least),
         )
+
+    def _less(self, binds: Sequence[Binding], least: float) -> str:
+        """Which tolerances bind, and with how much of each by itself gains are found."""
+        if binds[0].enough is None:
+            keys = " or ".join(bind.key for bind in binds)
+            return f"{keys} binds (it would be {least:.4f} without): state less of it if that is true, or raise rate_hz"
+        told = " or ".join(f"{b.key} = {self._stated(b.key, b.enough)}" for b in binds if b.enough is not None)
+        return f"state less of what binds, if that is true: {told} is enough; or raise rate_hz"
+
+    def _stated(self, key: str, ranges: Ranges) -> str:
+        """What the cell file would say of it."""
+        believed = self.cell.file.delay_periods
+        name = key.partition(".")[2]
+        said = {
+            "delay": (ranges.delay_periods[0] / believed, ranges.delay_periods[2] / believed)
+            if believed
+            else (1.0, 1.0),
+            "object": ranges.object_error,
+            "friction": (ranges.friction, self.cell.tolerance.friction[1]),
+            "pads_N_per_m": ranges.pads_N_per_m,
+            "pads_Nm_per_rad": ranges.pads_Nm_per_rad,
+            "pads_damping_ratio": ranges.pads_damping_ratio,
+        }.get(name, ranges.inertia_error)
+        return f"[{', '.join(f'{x:.3g}' for x in said)}]" if isinstance(said, tuple) else f"{said:.3g}"
 
     def _shaken(self, arm: int, q: Vector) -> Shaking:
         viscous = np.array([servo.viscous_Nm_s_per_rad.value for servo in self.cell.arms[arm].servos])
