@@ -123,7 +123,7 @@ def add_wrenches(model: ArmModel, offline: Offline, k: Kinematics, e: Errors, lo
         -k_v[5] * e_v[5] - c * x[5],
     )
     internal = NO_WRENCH if wanted is None else rotate_wrench(k.R_world_object, wanted)
-    model.scratch.three(feedback, load, internal).dot(k.Jt.T, joints[BY_WRENCHES])
+    model.scratch.three(feedback, load, internal).dot(k.J6, joints[BY_WRENCHES])
     return NO_WRENCH if wanted is None else shift_to_ee(k, internal)
 
 

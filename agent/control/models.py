@@ -43,11 +43,16 @@ class Kinematics(NamedTuple):
     v_object: Twist
     J: Matrix  # (m, n) task-space Jacobian of the object frame
     dJ: Matrix  # (m, n) its time derivative
-    Jt: Matrix  # (n, 6) joint torques of a wrench about the object's centre
+    J6: Matrix  # (6, n) Jacobian of the object frame, in all directions
     B: Matrix  # (n, n) joint-space inertia with reflected rotor inertia
     C: Matrix  # (n, n) Christoffel-consistent Coriolis matrix
     g: Vector  # (n,)
     p_ee_object: Vec3  # p_O − p_E
+
+    @property
+    def Jt(self) -> Matrix:
+        """(n, 6) joint torques of a wrench about the object's centre."""
+        return self.J6.T
 
 
 class Scratch:
@@ -146,7 +151,7 @@ class ArmModel:
             J, dJ = J6, dJ6
         else:
             J, dJ = self.task_basis.dot(J6), self.task_basis.dot(dJ6)
-        return Kinematics((x, y, z), quat, R, v_object, J, dJ, J6.T, B, C, g, p_ee_object)
+        return Kinematics((x, y, z), quat, R, v_object, J, dJ, J6, B, C, g, p_ee_object)
 
     def object_pose(self, q: Vector) -> pin.SE3:
         """Pose of the object frame in the world when this arm is at q (n,)."""
