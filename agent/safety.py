@@ -54,20 +54,17 @@ def limit(tau_cmd: Sequence[float], tau_last: Sequence[float], limits: Limits) -
     flags = _NONE
     rate_limited = saturated = False
     tau: list[float] = []
+    isfinite = math.isfinite
     for wanted, last, bound, step in zip(tau_cmd, tau_last, limits.tau_max_Nm, limits.tau_step_max_Nm, strict=True):
-        low, high = last - step, last + step
-        if low <= wanted <= high and -bound <= wanted <= bound:  # which is no comparison that NaN passes
-            tau.append(wanted)
-            continue
-        if not math.isfinite(wanted):
+        if not isfinite(wanted):
             flags |= _NOT_FINITE
             tau.append(last)
             continue
         allowed = wanted
-        if allowed > high:
-            allowed, rate_limited = high, True
-        elif allowed < low:
-            allowed, rate_limited = low, True
+        if allowed > last + step:
+            allowed, rate_limited = last + step, True
+        elif allowed < last - step:
+            allowed, rate_limited = last - step, True
         if allowed > bound:
             allowed, saturated = bound, True
         elif allowed < -bound:
