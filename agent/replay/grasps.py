@@ -17,6 +17,8 @@ from agent.replay.source import ReplayError
 from agent.report.series import attitude_error, grasp_force, nearest, rotation_vector
 from agent.safety import Flag
 
+NO_TIME_S = 1e9  # thirty years
+
 Array = NDArray[np.float64]
 
 
@@ -86,10 +88,16 @@ def _same_instants(arms: Sequence[Table], base: Table, period_s: float) -> list[
     has several motions, whose times come again.
     """
     half_ns = round(0.5e9 * period_s)
-    times = [np.rint(np.nan_to_num(rows["t"], nan=-1e9) * 1e9).astype(np.int64) for rows in (base, *arms)]
+    times = [_nanoseconds(rows["t"]) for rows in (base, *arms)]
     if any(np.any(np.diff(t) < 0) for t in times):
         times = [rows["utc_ns"] for rows in (base, *arms)]
     return [nearest(own, times[0], half_ns) for own in times[1:]]
+
+
+def _nanoseconds(t: Array) -> NDArray[np.int64]:
+    """Of a time that is none, or longer than a run can be, as in a damaged row: one long before all others."""
+    known = np.where(np.abs(t) < NO_TIME_S, t, -NO_TIME_S)
+    return np.rint(known * 1e9).astype(np.int64)
 
 
 def _pose(rows: Table, at: NDArray[np.intp]) -> tuple[Array, Array]:

@@ -65,6 +65,11 @@ LOGS: Entries = {
             "following = self.read_at(behind, end - behind)",
             "following = self.read_at(behind, end + behind)",
         ): "rows that nobody has written yet are not intact",
+        (
+            "RingReader._copy",
+            "some = min(count - done, header.slots - place)",
+            "some = min(count + done, header.slots - place)",
+        ): "no more is read than there is room for",
         ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",

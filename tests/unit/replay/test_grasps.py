@@ -123,11 +123,12 @@ def test_where_the_times_of_one_arm_alone_come_again_utc_pairs_them() -> None:
     assert [(arm.rows, arm.offset_m) for arm in grasps(log_of(left, right), paper()).arms] == [(20, 0.0), (20, 0.0)]
 
 
-def test_rows_of_one_time_and_one_whose_time_is_unknown_are_no_second_motion() -> None:
+@pytest.mark.parametrize("unknown", [np.nan, -np.inf, np.inf, 1e300, -1e10])
+def test_rows_of_one_time_and_one_whose_time_is_unknown_are_no_second_motion(unknown: float) -> None:
     left, right = rows(40), rows(40)
     for own in (left, right):
         own["t"][5] = own["t"][4]
         own["p_object"][:, 0] = np.arange(40.0)
-    left["t"][0] = np.nan
+    left["t"][0] = unknown
     right["utc_ns"] -= 7 * PERIOD_NS
     assert [(arm.rows, arm.offset_m) for arm in grasps(log_of(left, right), paper()).arms] == [(39, 0.0), (39, 0.0)]

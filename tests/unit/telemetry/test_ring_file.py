@@ -348,3 +348,11 @@ def test_the_group_may_read_whatever_the_umask_says(path: Path) -> None:
     finally:
         os.umask(mask)
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_whether_a_ring_is_there_is_said_or_why_it_cannot_be_seen(path: Path) -> None:
+    assert not ring_file.exists(path)
+    new_ring(path).close()
+    assert ring_file.exists(path)
+    with pytest.raises(RingError, match=r"File name too long.*a folder that can be searched"):
+        ring_file.exists(path.parent / ("x" * 300))

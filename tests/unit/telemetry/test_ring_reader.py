@@ -317,3 +317,12 @@ def test_a_writer_in_lockstep_gives_up_at_its_deadline(writer: RingWriter, monke
     with pytest.raises(RingError, match=f"found {SLOTS} rows waiting for 2 s, expected fewer than {SLOTS // 2}"):
         writer.wait_for_space(2.0)
     assert next(now, None) is None, "the last look was the one at the deadline"
+
+
+def test_a_reader_that_is_left_keeps_nothing_open(path: Path, writer: RingWriter) -> None:
+    assert writer.written == 0
+    with RingReader(path, AGENT_STATE) as reader:
+        kept = reader._fd
+        assert os.fstat(kept).st_ino == path.stat().st_ino
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(kept)
