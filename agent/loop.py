@@ -122,8 +122,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     brake = brake_per_s(agent.period_s) if damped else 0.0
     wanted = braking(terms, speed, brake) if damped else terms.joints[CMD]
     session = agent.session
-    # its session, of an arm that holds nothing yet or any more
-    alone = session if session is not None and mode in phases.ALONE else None
+    alone = session if mode in phases.ALONE else None  # its session, of an arm that holds nothing yet or any more
     tau, flags = limit(wanted.tolist(), memory.tau.tolist(), agent.limits if alone is None else alone.limits)
     if calm:
         flags |= Flag.DAMPED if damped else Flag.GENTLE

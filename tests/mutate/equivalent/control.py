@@ -58,6 +58,8 @@ _NO_MORE = "adds nothing where no more than one period has passed"
 _PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
 _NO_INTERNAL = "return NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
 
+_NEW_ROWS = "if written > self.kept_end:"
+_NOTHING_NEW = "of no new row none is read"
 _HOW_OFTEN = "how often somebody is told meanwhile; no test measures time"
 _COUNTS = "self._seen_s = self._slow_s = 0.0"
 _AT_LAST = "return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE"
@@ -147,6 +149,9 @@ CONTROL: Entries = {
     "agent.guard.watched": {
         ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 40"): _HOW_OFTEN,
         ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 10"): _HOW_OFTEN,
+        ("Watched.hangs", _NEW_ROWS, "if True:"): _NOTHING_NEW,
+        ("Watched.hangs", _NEW_ROWS, _NEW_ROWS.replace(">", ">=")): _NOTHING_NEW,
+        ("Watched.inherit", "if self.text_ring.damage:", "if True:"): "a whole file is mended to what it is",
         ("Watched.gone", "return _ended(self.pidfd, 0)", "return _ended(self.pidfd, 1)"): "finds the same, a bit later",
     },
     "agent.process.float_loop": {

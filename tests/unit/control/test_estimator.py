@@ -150,7 +150,7 @@ def random_memory(seed: int, n: int, hold: bool) -> Memory:
         pull=pull_of(rng.normal(size=14).tolist()),
         plain=Plain(rng.normal(size=n), float(rng.normal())),
         struck=Struck(*rng.normal(size=5).tolist()),
-        borne=Borne(*rng.normal(size=2).tolist()),
+        borne=Borne(*rng.normal(size=4).tolist()),
     )
     shift = tuple(rng.normal(size=6).tolist())
     calm, missed = 102 - 100 * seed, 20 * seed
@@ -175,6 +175,9 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
         (*found.sense[:-4], *found.sense.plain), (*memory.sense[:-4], *memory.sense.plain), strict=True
     ):
         assert np.array_equal(one, two)
+    older = restore(np.delete(flat, [-7, -6]), n)
+    assert older.sense.borne == memory.sense.borne._replace(usual_stuck_N=0.0, stuck_N=0.0), "older than stuck joints"
+    assert older.braced == memory.braced
     older = restore(flat[:-14], n).sense
     assert (older.plain.force_N, older.struck) == (memory.sense.plain.force_N, NOT_STRUCK), "older than a blow"
     older = restore(flat[:-22], n).sense

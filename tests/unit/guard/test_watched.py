@@ -174,6 +174,46 @@ def test_behind_a_damaged_row_the_hold_begins_as_the_newest_rows_say(agent: Agen
     seen.close()
 
 
+def damage(agent: Agent, row: int) -> None:
+    """As when memory fails."""
+    with agent.path.open("r+b", buffering=0) as file:
+        os.pwrite(file.fileno(), b"\xff" * 64, SLOTS_OFFSET + row * agent.ring.header.stride + 1000)
+
+
+def test_a_row_that_is_damaged_after_it_was_seen_is_not_lost_and_one_before_it_counts_no_more(agent: Agent) -> None:
+    seen = watched(agent)
+    agent.rows(5)
+    assert not seen.hangs(2 * MS)
+    assert seen.rows == 5
+    damage(agent, 4)
+    assert seen.last_rows()["sequence"].tolist() == [0, 1, 2, 3, 4]
+    agent.rows(1)
+    assert not seen.hangs(4 * MS)
+    assert seen.rows == 6
+    assert seen.last_rows()["sequence"].tolist() == [5]
+    seen.close()
+
+
+def test_who_inherits_goes_on_behind_a_damaged_row_of_a_whole_file(agent: Agent) -> None:
+    seen = watched(agent)
+    agent.rows(5)
+    damage(agent, 4)
+    seen.inherit(no_word)
+    assert (seen.damage, seen.rows) == ("", 5)
+    assert seen.last_rows()["sequence"].tolist() == [0, 1, 2, 3]
+    seen.close()
+
+
+@pytest.mark.fault("P14")
+def test_the_first_row_of_all_is_kept_too(agent: Agent) -> None:
+    seen = watched(agent)
+    agent.rows(3)
+    assert not seen.hangs(2 * MS)
+    os.truncate(agent.path, 0)
+    assert seen.last_rows()["sequence"].tolist() == [0, 1, 2]
+    seen.close()
+
+
 def test_what_is_inherited_goes_on_behind_the_last_row_and_text(agent: Agent) -> None:
     seen, heard = watched(agent), TextReader(agent.path)
     agent.rows(3)
