@@ -16,10 +16,7 @@ _COMMON = "_, i, j = np.intersect1d(a['sequence'], b['sequence'], assume_unique=
 _ENCODED = "rows = [np.ascontiguousarray(part.messages()).reshape(-1).view(layout.dtype) for part in (one, other)]"
 _BYTES = "x, y = (np.ascontiguousarray(rows[name]).view(np.uint8).reshape(len(rows), -1) for rows in (a, b))"
 
-_UNKNOWN = (
-    "times = [np.rint(np.nan_to_num(rows['t'], nan=-1000000000.0) * 1000000000.0).astype(np.int64) "
-    "for rows in (base, *arms)]"
-)
+_UNKNOWN = "known = np.where(np.abs(t) < NO_TIME_S, t, -NO_TIME_S)"
 _BLOCK = "messages = np.ascontiguousarray(part.messages()).reshape(-1).view(layout.dtype)"
 
 _LOOPED = "def __init__(self, agent: Agent, config_id: int, readable: Readable, *, in_the_loop: bool=False) -> None:"
@@ -110,7 +107,8 @@ LOGS: Entries = {
         ("Chain.pass_row", "if marks:", "if True:"): "saves a call: joining no flag changes nothing",
     },
     "agent.replay.grasps": {
-        ("_same_instants", _UNKNOWN, _UNKNOWN.replace("-1000000000.0", "-2000000000.0")): "both are before every time",
+        ("", "NO_TIME_S = 1000000000.0", "NO_TIME_S = 2000000000.0"): "no run lasts as long",
+        ("_nanoseconds", _UNKNOWN, _UNKNOWN.replace("<", "<=")): "no run lasts just as long",
         ("_mean", _ALIGNED, _ALIGNED.replace("quat * np.sign", "quat / np.sign")): "1 and −1 are their own inverses",
     },
     "agent.replay.rows": {
