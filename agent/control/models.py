@@ -34,6 +34,12 @@ class ModelError(Refusal):
     """The described arm cannot be controlled in this cell."""
 
 
+# what every tick calls: looking all of it up in pinocchio's module takes 1 % of one
+_coriolis, _inertia, _gravity = pin.computeCoriolisMatrix, pin.crba, pin.computeGeneralizedGravity
+_jacobian, _jacobian_rate = pin.getFrameJacobian, pin.getFrameJacobianTimeVariation
+_placement, _numbers = pin.updateFramePlacement, pin.SE3ToXYZQUATtuple
+
+
 class Kinematics(NamedTuple):
     """Everything one tick needs from the model at (q, dq).  World axes, linear first; own memory."""
 
@@ -136,17 +142,17 @@ class ArmModel:
     def evaluate(self, q: Vector, dq: Vector) -> Kinematics:
         """Kinematics and dynamics terms at (q, dq), both (n,), as copies."""
         model, data, frame = self.model, self.data, self.object_id
-        C = pin.computeCoriolisMatrix(model, data, q, dq).copy()  # leaves the Jacobians of all joints and their rates
-        T_world_object = pin.updateFramePlacement(model, data, frame)
-        J6 = pin.getFrameJacobian(model, data, frame, _WORLD_AXES)
-        dJ6 = pin.getFrameJacobianTimeVariation(model, data, frame, _WORLD_AXES)
+        C = _coriolis(model, data, q, dq).copy()  # leaves the Jacobians of all joints and their rates
+        T_world_object = _placement(model, data, frame)
+        J6 = _jacobian(model, data, frame, _WORLD_AXES)
+        dJ6 = _jacobian_rate(model, data, frame, _WORLD_AXES)
         v_object = tuple(J6.dot(dq).tolist())  # eq:J_o_i for v_O
-        x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUATtuple(T_world_object)
+        x, y, z, qx, qy, qz, qw = _numbers(T_world_object)
         quat = (qw, qx, qy, qz)
         R = to_matrix(quat)
         p_ee_object = rotate(R, self._p_ee_object)
-        B = pin.crba(model, data, q).copy()
-        g = pin.computeGeneralizedGravity(model, data, q).copy()
+        B = _inertia(model, data, q).copy()
+        g = _gravity(model, data, q).copy()
         if self.task_is_identity:
             J, dJ = J6, dJ6
         else:
