@@ -65,7 +65,7 @@ def replay(
             if changes:
                 _show_changed(opened, cell, changes, window, arm, picture, step, as_json=as_json)
             else:
-                _show_verdict(opened, cell, window, arm, step, as_json=as_json)
+                _show_comparison(opened, cell, window, arm, step, as_json=as_json)
 
 
 def _show_same(log: Path, other: Path, *, as_json: bool) -> None:
@@ -76,32 +76,34 @@ def _show_same(log: Path, other: Path, *, as_json: bool) -> None:
     with Steps() as step:
         step("reading the logs")
         with open_log(log, any_layout=True) as a, open_log(other, any_layout=True) as b:
-            verdict = same(a, b)
+            compared = same(a, b)
     notes = [f"{read.path}: {problem}" for read in (a, b) for problem in read.problems]
     if as_json:
-        print_json(comparison_document(a, verdict, notes) | {"other": str(other)})
+        print_json(comparison_document(a, compared, notes) | {"other": str(other)})
     else:
-        for line in (*notes, *verdict.notes):
+        for line in (*notes, *compared.notes):
             note(line)
-        typer.echo("\n".join(same_lines(verdict)))
-    if not verdict.equal:
+        typer.echo("\n".join(same_lines(compared)))
+    if not compared.equal:
         raise typer.Exit(DIFFERENT)
 
 
-def _show_verdict(log: ColumnLog, cell: Cell, window: Window, arm: str | None, step: Steps, *, as_json: bool) -> None:
+def _show_comparison(
+    log: ColumnLog, cell: Cell, window: Window, arm: str | None, step: Steps, *, as_json: bool
+) -> None:
     from agent.replay.show import comparison_document, comparison_lines, version_notes
     from agent.replay.verify import verify
 
-    verdict = verify(log, cell, window, arm, step)
+    compared = verify(log, cell, window, arm, step)
     step.clear()
     notes = [*log.problems, *version_notes(log)]
     if as_json:
-        print_json(comparison_document(log, verdict, notes))
+        print_json(comparison_document(log, compared, notes))
     else:
-        for line in (*notes, *verdict.notes):
+        for line in (*notes, *compared.notes):
             note(f"{log.path}: {line}")
-        typer.echo("\n".join(comparison_lines(verdict)))
-    if not verdict.equal:
+        typer.echo("\n".join(comparison_lines(compared)))
+    if not compared.equal:
         raise typer.Exit(DIFFERENT)
 
 

@@ -165,7 +165,7 @@ def random_joints(rng: np.random.Generator, model: ArmModel, sigma_min: float = 
 
 
 def _smallest_above(J: Vector, bound: float) -> bool:
-    """Whether the smallest singular value of J is above a bound; by its inverse where that is enough to tell.
+    """Whether the smallest singular value of a square J is above a bound; by its inverse where that tells.
 
     1 / ‖J⁻¹‖_F ≤ σ ≤ √n / ‖J⁻¹‖_F
     """
