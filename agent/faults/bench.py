@@ -100,7 +100,7 @@ class Rehearsal:
 
 
 class Bench:
-    """The cell, its arms' threads, and what befalls them when."""
+    """The cell, its arms, and what befalls them when."""
 
     start_after_ns = START_AFTER_NS
 
@@ -116,7 +116,7 @@ class Bench:
         self._place = {arm.name: i for i, arm in enumerate(self._emulated.arms)}  # among those that are emulated
         for fault in faults:
             _require_servo(fault, self._injectors, self._place)
-        self._clock = SharedClock(self._time, self._injectors, len(cell.arms), self._passed)
+        self._clock = SharedClock(self._time, self._injectors, self._passed)
         self._ready: set[str] = set()
         self._zero_ns: int | None = None
         self._agenda: list[tuple[int, Callable[[], None]]] = []

@@ -1,14 +1,16 @@
-"""Time and serial lines that exist in this process alone: arms in threads, one of which goes at a time.
+"""Time and serial lines that exist in this process alone: each arm is a greenlet, and the one that is due first goes.
 
 Every run is the same, however fast the machine is.
 """
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
+
+from greenlet import getcurrent, greenlet
 
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
 from drivers.interface import Clock
@@ -16,7 +18,6 @@ from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.bus import Bus
 from sim_backend.wire.injector import Injector
 
-NOBODY = 0
 STEP_NS = 1_000_000  # in which time passes, so that watchdogs and faults can follow
 
 
@@ -41,19 +42,14 @@ class SharedClock:
     utc_offset_ns = 0
 
     def __init__(
-        self, cell: Advancing, injectors: Sequence[Injector], members: int,
-        passed: Callable[[int], None] = lambda _: None,
-    ) -> None:  # fmt: skip
-        """members: threads that join it; passed: is told after each step of time what time it is."""
+        self, cell: Advancing, injectors: Sequence[Injector], passed: Callable[[int], None] = lambda _: None
+    ) -> None:
+        """passed: is told after each step of time what time it is."""
         self._ns = cell.time_ns
         self._cell = cell
         self._injectors = injectors
-        self._missing = members
         self._passed = passed
-        self._joining = threading.Lock()  # afterwards who goes is alone
-        self._due: dict[int, int] = {}  # by thread
-        self._turns: dict[int, threading.Lock] = {}  # by thread; each is held until it is that one's turn
-        self._goes = NOBODY
+        self._due: dict[greenlet, int] = {}  # by life
 
     def now_ns(self) -> int:
         """Virtual now; asking takes a little time, as everything does."""
@@ -62,63 +58,44 @@ class SharedClock:
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Let the others go on until it is time."""
-        me = threading.get_ident()
+        me = getcurrent()
         self._due[me] = deadline_ns
-        if self._next() != me:
-            self._turns[me].acquire()
+        goes = self._next()
+        if goes is not me:
+            goes.switch()
 
     def live(self, lives: Sequence[Callable[[], None]]) -> None:
-        """Carry these out, each in a thread of its own, to the end of all; as many as there are members.
+        """Carry these out, beside each other, to the end of all.
 
-        Raises what the first in order that failed has raised.
+        Raises what the first in order that failed has raised; what is no Exception, as a Ctrl-C, at once: the others
+        end where they are.
         """
-        failed: dict[int, BaseException] = {}
+        failed: dict[int, Exception] = {}
 
         def one(place: int) -> None:
-            self._join()
             try:
                 lives[place]()
-            except BaseException as error:  # noqa: BLE001 - raised again below
+            except Exception as error:  # noqa: BLE001 - raised again below
                 failed[place] = error
             finally:
-                self._leave()
+                self._due.pop(getcurrent(), None)
 
-        threads = [threading.Thread(target=one, args=(place,), daemon=True) for place in range(len(lives))]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        begun = [greenlet(partial(one, place)) for place in range(len(lives))]
+        self._due = {life: self._ns + place for place, life in enumerate(begun)}
+        try:
+            while self._due:
+                self._next().switch()  # is back when one has ended
+        finally:
+            self._due.clear()  # who is ended waits for nobody
+            for life in begun:
+                life.throw()
         if failed:
             raise failed[min(failed)]
 
-    def _join(self) -> None:
-        """Called by each thread before it does anything; returns when all have, one after the other."""
-        me = threading.get_ident()
-        turn = self._turns[me] = threading.Lock()
-        turn.acquire()
-        with self._joining:
-            self._due[me] = self._ns + self._missing  # they begin in the order in which they came
-            self._missing -= 1
-            if not self._missing:
-                self._next()
-        turn.acquire()
-
-    def _leave(self) -> None:
-        """The calling thread waits for nothing any more."""
-        self._due.pop(threading.get_ident(), None)
-        self._next()
-
-    def _next(self) -> int:
-        """Let time pass until somebody is due, wake that thread where it is another than before; return which.
-
-        Who has woken another looks at nothing here any more until its own turn comes.
-        """
-        before = self._goes
-        goes = self._goes = min(self._due, key=self._due.__getitem__, default=NOBODY)
-        if goes != NOBODY:
-            self._pass_until(self._due[goes])
-            if goes != before:
-                self._turns[goes].release()
+    def _next(self) -> greenlet:
+        """Let time pass until somebody is due; return who."""
+        goes = min(self._due, key=self._due.__getitem__)
+        self._pass_until(self._due[goes])
         return goes
 
     def _pass_until(self, deadline_ns: int) -> None:

@@ -96,7 +96,7 @@ class Rehearsal:
         self._emulated, self.world = self._lone(cell, q_start)
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms] if self._emulated else []
         self._physics = Physics(self._emulated, self.plant)
-        self.clock = SharedClock(self._physics, self._injectors, len(cell.arms))
+        self.clock = SharedClock(self._physics, self._injectors)
         self.cell, self._faults, self._late = cell, faults, (older_cycles, lost)
         self._happenings = happenings or {}
         self._ready: set[str] = set()

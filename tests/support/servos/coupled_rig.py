@@ -1,6 +1,6 @@
 """Real drivers and control loops on emulated servos that carry one object, in virtual time: every run the same.
 
-Each arm has a thread, as it has a process in a run; one of them goes at a time, the one that is due first.
+Each arm is a greenlet, as it is a process in a run; one of them goes at a time, the one that is due first.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class CoupledRun:
         wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
         self._emulated, self.world = emulate(plant_spec(cell, q_start), wired, timing=BusTiming())
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms]
-        self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms), self._pass)
+        self._clock = SharedClock(self._emulated, self._injectors, self._pass)
         self._cell, self._faults = believed or cell, faults
         self._real, self._starts, self._operator, self._actions = real, starts, operator, list(actions)
         self._start_after_ns = round(ready_s * 1e9)

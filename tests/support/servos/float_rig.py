@@ -157,7 +157,7 @@ class FloatRun:
             self.emulated, self.world = emulate_alone(lone_spec(real, starts), [(one, wired[0])], timing=BusTiming())  # type: ignore[assignment]
         self.injectors = [Injector(arm, None, seed=1) for arm in self.emulated.arms]
         self.arms = {arm.name: FloatArm() for arm in taking_part(cell)}
-        self.clock = SharedClock(self.emulated, self.injectors, len(self.arms), self._pass)
+        self.clock = SharedClock(self.emulated, self.injectors, self._pass)
         self._starts_s = starts_s
         self._faults = list(faults)
         self._on: set[str] = set()

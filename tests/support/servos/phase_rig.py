@@ -134,7 +134,7 @@ class PhaseRun:
 
     def _begin(self, steps: Sequence[Step]) -> None:
         """A new clock on the servos as they are, and new agents."""
-        self.clock = SharedClock(self.emulated, list(self.injectors.values()), len(self.cell.arms), self._passed)
+        self.clock = SharedClock(self.emulated, list(self.injectors.values()), self._passed)
         self.arms = {arm.name: PhaseArm() for arm in self.cell.arms}
         self.mode = dict.fromkeys(self.arms, Mode.OFF)
         self._steps, self._place = list(steps), 0

@@ -85,7 +85,7 @@ class WholeRun:
         self.emulated, self.world = emulate_whole(spec, whole, wired, timing=BusTiming())
         self.place: tuple[float, float] | None = None  # set-down error once all arms are back
         self._injectors = [Injector(arm, None, seed=1) for arm in self.emulated.arms]
-        self.clock = SharedClock(self.emulated, self._injectors, len(cell.arms))
+        self.clock = SharedClock(self.emulated, self._injectors)
         for injector in self._injectors:
             injector.add([f for f in faults if f.arm == injector.arm.name], self.clock.now_ns())
         self._says, self._at_tick, self._limit_ns = says, at_tick, round(1e9 * limit_s)
