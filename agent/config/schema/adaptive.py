@@ -92,9 +92,9 @@ class Adaptive(Strict):
     """γ_i of the paper: how quickly an arm's parameters are learned."""
     gamma_object: Factor = 1.0
     """γ_O: how quickly the object's are; the paper: 1."""
-    factor: ArmGainFactors = ArmGainFactors()
+    factor: ArmGainFactors = ArmGainFactors.default()
     """Gains of groups of an arm's parameters, relative to gamma; all 1 is the paper's law."""
-    factor_object: GainFactors = GainFactors()
+    factor_object: GainFactors = GainFactors.default()
     """The same for the object."""
     rotor_inertia: bool = True
     """Whether rotor inertia is learned; what is off keeps its configured value."""
@@ -112,9 +112,9 @@ class Adaptive(Strict):
     """What is believed at the start: zero, or the configured parameters times start_scale."""
     start_scale: Annotated[float, Field(ge=0.0, le=100.0)] = 1.0
     """Factor of the configured parameters at the start."""
-    bounds: ArmBounds = ArmBounds()
+    bounds: ArmBounds = ArmBounds.default()
     """Box of an arm's estimates."""
-    bounds_object: Bounds = Bounds()
+    bounds_object: Bounds = Bounds.default()
     """Box of the object's estimates."""
     physical: bool = True
     """Principal moments of the estimates stay those of a real body."""

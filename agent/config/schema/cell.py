@@ -61,9 +61,9 @@ class Safety(Strict):
     """Time without a state after which the agent falls silent, so that the servos' watchdogs stop the arm."""
     recover_s: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
     """Time after that in which the arm may come back; 0: it is lost at once."""
-    noticing: NoticingSpec = NoticingSpec()
+    noticing: NoticingSpec = NoticingSpec.default()
     """From which unexpected wrench an arm holds."""
-    monitors: MonitorsSpec = MonitorsSpec()
+    monitors: MonitorsSpec = MonitorsSpec.default()
     """What an arm watches in every mode that commands torque, and the bounds."""
     collision_margin_m: Annotated[float, Field(ge=0.0, le=0.5)] = 0.005
     """Least distance of bodies along the motion; below it `coop check` refuses."""
@@ -107,11 +107,11 @@ class CellFile(Strict):
     """The desired motion of the object."""
     controller: Controller
     """The law and its gains."""
-    safety: Safety = Safety()
+    safety: Safety = Safety.default()
     """Bounds checked before the start and on every tick."""
-    tolerance: Tolerance = Tolerance()
+    tolerance: Tolerance = Tolerance.default()
     """Errors that check, tune and study count with."""
-    simulation: Simulation = Simulation()
+    simulation: Simulation = Simulation.default()
     """The simulated cell; agents do not read it."""
     hil: Hil | None = None
     """Real arms that rehearse with simulated partners and object; none: no arm is in the loop."""

@@ -59,9 +59,9 @@ class Controller(Strict):
     """Speed over which the compensation changes its sign."""
     velocity: Annotated[VelocitySource, AS_LIST] = VelocitySource.OBSERVER
     """Joint state that the law takes: the servos' own, or the observer's, fused with the commanded acceleration."""
-    observer: ObserverGains = ObserverGains()
+    observer: ObserverGains = ObserverGains.default()
     """Gains of the observer."""
-    adaptive: Adaptive = Adaptive()
+    adaptive: Adaptive = Adaptive.default()
     """The adaptive law; used with kind = "adaptive"."""
-    alignment: AlignmentSpec = AlignmentSpec()
+    alignment: AlignmentSpec = AlignmentSpec.default()
     """How arms that see the object differently meet."""

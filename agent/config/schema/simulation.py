@@ -98,7 +98,7 @@ class Simulation(Strict):
     """Speed over which simulated friction changes its sign."""
     object_mass_error: Annotated[float, Field(ge=-0.99, le=10.0)] = 0.0
     """Part by which the plant's object is heavier."""
-    effects: Effects = Effects()
+    effects: Effects = Effects.default()
     """What a real servo adds."""
     grasp: Grasp | None = None
     """Finger pads; none: welded grasps."""
