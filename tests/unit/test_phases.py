@@ -267,6 +267,7 @@ def test_a_fault_that_lasts_holds_once_and_does_not_stop_the_way_back() -> None:
     assert said.endswith("; way back: `coop lower`, `coop release`, `coop park`")
 
 
+@pytest.mark.long  # how both lower is in tests/unit/test_whole.py
 def test_an_arm_that_lowers_while_the_other_was_stopped_presses_a_little_until_both_are_told_the_same() -> None:
     """No arm is told what another was: docs/session.md has the figures."""
     pressed: list[float] = []

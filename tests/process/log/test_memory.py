@@ -33,6 +33,7 @@ def test_a_comparison_never_holds_the_rows(log: Path) -> None:
     assert measured("compare", log, log).peak_MB < 120
 
 
+@pytest.mark.long
 def test_a_repair_never_holds_the_file(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(log.read_bytes()[:-BYTES_CUT])

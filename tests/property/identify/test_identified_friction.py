@@ -51,7 +51,11 @@ class Known:
     fit: Fit
 
 
-@pytest.fixture(scope="module", params=["simple", pytest.param("load", marks=pytest.mark.long), "both"], ids=str)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param("simple", marks=pytest.mark.long), pytest.param("load", marks=pytest.mark.long), "both"],
+    ids=str,
+)
 def known(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Known:
     case = CASES[request.param]
 
