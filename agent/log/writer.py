@@ -2,7 +2,8 @@
 
 The library's own writer makes several Python objects per message.  Here a batch is laid into the chunk as one array of
 records; everything else in the file is written by the library's record classes.  Chunks are compressed (zstd), every
-chunk has an index, and all checksums are there.
+chunk has an index, and all checksums are there.  The second chunk says once more what the channels are: of a log without
+its end that has lost the first one, the others can be read.
 """
 
 from __future__ import annotations
@@ -165,6 +166,9 @@ class BatchWriter:
             )
         )  # fmt: skip
         chunk.clear()
+        if len(self._chunks) == 1:
+            for record in (*self._schemas.values(), *self._channels.values()):
+                self._add_record(_encoded(record))
 
     def finish(self) -> None:
         """End the chunk in progress; write the summary and the closing magic."""

@@ -97,7 +97,8 @@ def test_the_wheel_brings_types_licence_units_and_documents(packages: Packages) 
     for folder in ("systemd", "docs"):
         wanted = {path.relative_to(packages.source) for path in (packages.source / folder).rglob("*") if path.is_file()}
         assert {path.relative_to(share) for path in (share / folder).rglob("*") if path.is_file()} == wanted
-    assert {"README.md", "CHANGELOG.md"} <= {path.name for path in share.iterdir()}
+    for name in ("README.md", "CHANGELOG.md", "Makefile"):
+        assert (share / name).read_bytes() == (packages.source / name).read_bytes()
 
 
 def test_coop_where_finds_what_ships(packages: Packages, tmp_path: Path) -> None:
