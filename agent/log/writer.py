@@ -2,8 +2,8 @@
 
 The library's own writer makes several Python objects per message.  Here a batch is laid into the chunk as one array of
 records; everything else in the file is written by the library's record classes.  Chunks are compressed (zstd), every
-chunk has an index, and all checksums are there.  The second chunk says once more what the channels are: of a log without
-its end that has lost the first one, the others can be read.
+chunk has an index, and all checksums are there.  The second chunk declares the channels once more: of a log without its
+end that has lost the first one, the others can be read.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""What a person sees beside the arms in each mode of a session, and what to say next; the lines of `coop guide`."""
+"""What a person sees beside the arms in each mode, and what to say next; the lines of `coop guide`.
+
+Arms of a session fetch the object and bring it back; others begin with it in their grippers and know fewer words.
+"""
 
 from __future__ import annotations
 
@@ -59,20 +62,62 @@ STEPS: Final[Mapping[Mode, Step]] = MappingProxyType({
 })  # fmt: skip
 
 
-_GOING_ON = MappingProxyType({  # beside arms that are elsewhere
-    Mode.REST: "wait, or coop approach CELL where the others stand at their grasps; to end it coop release CELL",
-    Mode.READY: "wait for the others; or coop release CELL, for the object still stands",
+_SUPPORT = "support the object; then coop release CELL"
+_HOLDS_FOR_GOOD = "coop stop CELL: the arms hold the object; support it, then coop release CELL"
+
+STEPS_HELD: Final[Mapping[Mode, Step]] = MappingProxyType({  # of arms that began with the object in their grippers
+    Mode.OFF: Step("the arm has no torque yet, its agent begins", "wait", ""),
+    Mode.READY: Step(
+        "the arms hold the object and wait for the start", "step back: coop start CELL --in 5", _HOLDS_FOR_GOOD
+    ),
+    Mode.TRACK: Step("the object is carried", "wait", _HOLDS_FOR_GOOD),
+    Mode.HOLD: Step("the arms hold the object and stand", _SUPPORT, ""),
+    Mode.LOWER: Step("the arm goes down slowly", _SUPPORT, ""),
+    Mode.FAULT: Step("the arm does not obey", "support it and what it holds; then cut its supply", ""),
 })  # fmt: skip
-_GOING_BACK = MappingProxyType({  # beside one that is gone, does not obey, or cannot be started
-    Mode.REST: "coop release CELL ends it",
-    Mode.APPROACH: "coop park CELL",
-    Mode.READY: "coop release CELL, for the object still stands",
-    Mode.HALT: "coop park CELL",
-})  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """What is said to arms of one kind."""
+
+    steps: Mapping[Mode, Step]
+    going_on: Mapping[Mode, str]  # beside arms that are elsewhere
+    going_back: Mapping[Mode, str]  # beside one that is gone, does not obey, or cannot be started
+    set_down: str  # behind a stop, where one moves what another holds
+    begin: str  # an arm that was never there, or has ended in order
+    lost: str  # one that died where it was; with a place for what the others do first
+    others_first: str
+
+
+_IN_SESSION = _Way(
+    STEPS,
+    going_on={
+        Mode.REST: "wait, or coop approach CELL where the others stand at their grasps; to end it coop release CELL",
+        Mode.READY: "wait for the others; or coop release CELL, for the object still stands",
+    },
+    going_back={
+        Mode.REST: "coop release CELL ends it",
+        Mode.APPROACH: "coop park CELL",
+        Mode.READY: "coop release CELL, for the object still stands",
+        Mode.HALT: "coop park CELL",
+    },
+    set_down="coop lower CELL sets the object down",
+    begin="bring it to its rest by hand and start its agent",
+    lost="support it and what it holds; {}then fold it into its rest by hand and start its agent",
+    others_first="lead the others back; ",
+)
+_HELD = _Way(
+    STEPS_HELD,
+    going_on={Mode.READY: f"wait for the others; or coop stop CELL, {_SUPPORT}"},
+    going_back={Mode.READY: f"coop stop CELL; {_SUPPORT}"},
+    set_down="support the object and coop release CELL",
+    begin="start its agent",
+    lost="support it and what it holds; {}then start its agent",
+    others_first="stop and release the others; ",
+)
 _CARRIES = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 _STAYS = frozenset({Mode.READY, Mode.HOLD})
-_BEGIN = "bring it to its rest by hand and start its agent"
-_LOST = "support it and what it holds; {}then fold it into its rest by hand and start its agent"
 _DEAF = "support it and what it holds: no word reaches it; its log says why, then end its process"
 _WAIT = "wait until it answers"
 _STOPS = "what moves stops, what holds the object goes on holding it"
@@ -84,6 +129,7 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
     arms: as in the document of agent.operator.status; option: that which names them to a word.
     """
     said, modes, silenced = list[str](), dict[str, Mode](), dict[str, tuple[str, str | None]]()
+    way = _HELD if {arm["session"] for arm in arms if arm["answers"]} == {False} else _IN_SESSION
     for arm in arms:
         name: str = arm["arm"]
         head, why = (arm["mode"], "") if arm["answers"] else silent(arm)
@@ -93,16 +139,16 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
             said.append(f"{name}: " + "; ".join([head, *filter(None, (why, last))]))
             silenced[name] = head, arm["mode"]
             continue
-        if mode in STEPS:  # else a hand guides it
+        if mode in way.steps:  # else a hand guides it
             modes[name] = mode
-        what = STEPS[mode].seen if mode in STEPS else TABLE[mode].says
+        what = way.steps[mode].seen if mode in way.steps else TABLE[mode].says
         said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, (what, *unfit(arm), arm["reason"]))))
     back = any(arm["answers"] and arm["no_start"] for arm in arms)
     if silenced or len(set(modes.values())) > 1:
-        gone = {name: _begin_again(*how, others=bool(modes)) for name, how in silenced.items()}
-        told = _apart(modes, back, gone)
+        gone = {name: _begin_again(way, *how, others=bool(modes)) for name, how in silenced.items()}
+        told = _apart(way, modes, back, gone)
     else:
-        told = _alike(next(iter(modes.values())), back) if modes else []
+        told = _alike(way, next(iter(modes.values())), back) if modes else []
     return said + [line.replace("--arm", option).replace("CELL", cell) for line in told]
 
 
@@ -111,27 +157,26 @@ def missing(arms: Sequence[Mapping[str, Any]]) -> bool:
     return any(not arm["answers"] and silent(arm)[0] not in Mode.__members__ for arm in arms)
 
 
-def _alike(mode: Mode, back: bool) -> list[str]:
+def _alike(way: _Way, mode: Mode, back: bool) -> list[str]:
     """What to say to arms that are equally far; back: there will be no carry."""
-    step = STEPS[mode]
-    do = _GOING_BACK.get(mode, step.do) if back else step.do
+    step = way.steps[mode]
+    do = way.going_back.get(mode, step.do) if back else step.do
     return [f"next: {do}", *([f"to stop: {step.stop}"] if step.stop else [])]
 
 
-def _apart(modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str]) -> list[str]:
+def _apart(way: _Way, modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str]) -> list[str]:
     """What to say to arms that are not equally far; gone: what to do with those that hear nothing."""
-    told = [f"to stop: coop stop CELL: {_STOPS}"] if any(STEPS[mode].stop for mode in modes.values()) else []
+    told = [f"to stop: coop stop CELL: {_STOPS}"] if any(way.steps[mode].stop for mode in modes.values()) else []
     carry = [name for name, mode in modes.items() if mode in _CARRIES]
     how = {modes[name] for name in carry}
     if Mode.TRACK in how or (Mode.LOWER in how and how & _STAYS):  # one moves what another one holds, or has lost
         everyone = len(carry) == len(modes) + len(gone)
-        told.append(
-            "next: coop stop CELL; then " + _to("coop lower CELL sets the object down", [] if everyone else carry)
-        )
+        told.append("next: coop stop CELL; then " + _to(way.set_down, [] if everyone else carry))
     else:
         carry = []
     back = back or Mode.FAULT in modes.values() or any(text != _WAIT for text in gone.values())
-    steps = {name: (_GOING_BACK if back else _GOING_ON).get(mode, STEPS[mode].do) for name, mode in modes.items()}
+    beside = way.going_back if back else way.going_on
+    steps = {name: beside.get(mode, way.steps[mode].do) for name, mode in modes.items()}
     left = {name: text for name, text in {**steps, **gone}.items() if name not in carry}
     for text in dict.fromkeys(left.values()):
         meant = [name for name, own in left.items() if own == text]
@@ -139,15 +184,15 @@ def _apart(modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str]) -> li
     return told
 
 
-def _begin_again(head: str, last: str | None, *, others: bool) -> str:
+def _begin_again(way: _Way, head: str, last: str | None, *, others: bool) -> str:
     """What to do with an arm that hears nothing, by how it is and its last mode; others: some hear."""
     if head == STARTING:
         return _WAIT
     if head == HUNG:
         return _DEAF
     if head == NONE or (head == ENDED and last != Mode.FAULT.name):
-        return _BEGIN
-    return _LOST.format("lead the others back; " if others else "")
+        return way.begin
+    return way.lost.format(way.others_first if others else "")
 
 
 def _to(text: str, arms: Sequence[str]) -> str:

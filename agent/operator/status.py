@@ -90,6 +90,7 @@ def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, age_s: float | 
         "real_time": details.get("real_time"),
         "guard": details.get("guard"),
         "no_start": details.get("no_start"),
+        "session": details.get("session"),
         "clock_bound_s": details.get("clock_bound_s"),
         "start_utc_ns": details.get("start_utc_ns"),
         "last_row_age_s": age_s,

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from agent.modes import Event, Mode
-from agent.operator.guide import STEPS, lines, missing
-from agent.operator.table import EVENT_OF, Verb
+from agent.operator.guide import STEPS, STEPS_HELD, lines, missing
+from agent.operator.table import EVENT_OF, MODES, Verb, effect
 from agent.session import WORDS
 from agent.session_modes import next_in_session
 
@@ -49,6 +49,7 @@ def arm(name: str, mode: str | None, reason: str = "", **other: Any) -> dict[str
         "failed": None,
         "same_cell": True,
         "no_start": None,
+        "session": True,
     }
     return {"arm": name, "mode": mode, "reason": reason, "last_row_age_s": 0.0, **own, **other}
 
@@ -210,3 +211,37 @@ def test_an_arm_that_a_hand_guides_is_told_of_and_not_waited_for() -> None:
     assert [line.split(": ")[1] for line in said[1:3]] == ["FLOAT", "FLOAT"]
     assert said[3].startswith("next: put the object in its place")
     assert not missing(found)
+
+
+def test_arms_that_began_with_the_object_in_their_grippers_are_told_of_in_every_mode() -> None:
+    assert set(STEPS_HELD) == set(MODES)
+
+
+@pytest.mark.parametrize("right", [Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER, Mode.FAULT, None])
+@pytest.mark.parametrize("left", [Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER])
+def test_every_word_that_is_told_to_arms_of_no_session_is_taken_by_those(left: Mode, right: Mode | None) -> None:
+    beside = silent("right", "TRACK") if right is None else arm("right", right.name, session=False)
+    said = lines([arm("left", left.name, session=False), beside], "c")
+    mode_of = {"left": left} | ({"right": right} if right else {})
+    assert any(f"{name}: {mode.name}: {STEPS_HELD[mode].seen}" in said for name, mode in mode_of.items())
+    stopped = False
+    for word, named in re.findall(r"coop (\w+) c((?: --arm \w+)*)", "\n".join(said[2:])):
+        stopped = stopped or word == "stop"
+        for name in re.findall(r"--arm (\w+)", named) or mode_of:
+            if (mode := mode_of[name]) is not Mode.FAULT:
+                after = effect(Verb.STOP, mode).becomes if stopped else mode
+                assert after is not None
+                assert effect(Verb(word), after).accepted, (word, name, said)
+
+
+def test_arms_of_no_session_are_supported_and_released_and_not_lowered() -> None:
+    held = [arm("left", "HOLD", session=False), arm("right", "TRACK", session=False)]
+    assert lines(held, "c")[2:] == [STOPS, "next: coop stop c; then support the object and coop release c"]
+    assert lines([arm("left", "READY", session=False), silent("right", None)], "c")[2:] == [
+        STOPS,
+        "next for left: coop stop c --arm left; support the object; then coop release c --arm left",
+        "next for right: start its agent",
+    ]
+    assert lines([arm("left", "READY", session=False), silent("right", "TRACK")], "c")[-1] == (
+        "next for right: support it and what it holds; stop and release the others; then start its agent"
+    )

@@ -115,7 +115,7 @@ def test_a_living_arm_is_shown_with_all_it_has(living: Arm) -> None:
         "arm": "left", "answers": True, "silence": None, "alive": True, "ended": False, "failed": None,
         "failed_utc_ns": None,
         "mode": "HOLD", "reason": "t = 3 s: OFF_TRACK", "same_cell": True, "pid": 7, "driver": "dynamixel",
-        "real_time": None, "guard": None, "no_start": None, "clock_bound_s": None,
+        "real_time": None, "guard": None, "no_start": None, "session": None, "clock_bound_s": None,
         "start_utc_ns": 5, "last_row_age_s": pytest.approx(0.002),
         "timing": {
             "rows": 400, "without_state": 0, "rate_hz": pytest.approx(200.0), "late_p99_s": 1e-5, "late_max_s": 2e-4,
