@@ -38,7 +38,7 @@ class FigureEstimate:
     joint: str
     key: str  # of the arm file
     value: float
-    sigma: float
+    sigma: float | None  # standard error; None: the best of a few, by held-out data
     previous: float
     outcome: Outcome
 
@@ -94,7 +94,7 @@ class Identified:
         }
 
     def _change(self, f: FigureEstimate) -> Change:
-        spread = f", ± {f.sigma:.1g}" if f.sigma > 0.0 else ", best of a few on held-out data"
+        spread = ", best of a few on held-out data" if f.sigma is None else f", ± {f.sigma:.1g}"
         return self._measured(f.joint, f.key, f.value, spread)
 
     def _measured(self, joint: str, key: str, value: float, how: str) -> Change:
@@ -146,11 +146,11 @@ def _sticking(arm: Arm, fit: Fit) -> list[FigureEstimate]:
     shape = fit.choice.shape
     if shape is not None:
         falling = sorted({joint for key, joint in fit.sticking if key != LOAD})
-        figures += [_figure(arm, j, key, value, 0.0) for j in falling for key, value in shape._asdict().items()]
+        figures += [_figure(arm, j, key, value, None) for j in falling for key, value in shape._asdict().items()]
     return figures
 
 
-def _figure(arm: Arm, joint: int, key: str, value: float, sigma: float) -> FigureEstimate:
+def _figure(arm: Arm, joint: int, key: str, value: float, sigma: float | None) -> FigureEstimate:
     servo = arm.servos[joint]
     before = getattr(servo, key)
     return FigureEstimate(
@@ -164,7 +164,7 @@ def gravity_rows(fit: Fit) -> Sequence[tuple[str, float, float, float]]:
     return [(fit.base.names[i], *rows[:, i].tolist()) for i in fit.base.gravity()]
 
 
-def _outcome(value: float, sigma: float) -> Outcome:
+def _outcome(value: float, sigma: float | None) -> Outcome:
     if value <= 0.0:
         return Outcome.NOT_POSITIVE
-    return Outcome.REPLACED if sigma <= CERTAIN * value else Outcome.UNCERTAIN
+    return Outcome.REPLACED if sigma is None or sigma <= CERTAIN * value else Outcome.UNCERTAIN

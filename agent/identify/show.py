@@ -81,5 +81,5 @@ def validation_figure(result: Identified) -> Figure:
     return figure
 
 
-def _numbers(value: float, sigma: float, before: float) -> tuple[str, str, str]:
-    return f"{value:.4g}", f"{sigma:.2g}", f"{before:.4g}"
+def _numbers(value: float, sigma: float | None, before: float) -> tuple[str, str, str]:
+    return f"{value:.4g}", "best of a few" if sigma is None else f"{sigma:.2g}", f"{before:.4g}"

@@ -17,7 +17,7 @@ from agent.identify.equations import Options
 from agent.identify.fit import Fit, fit
 from agent.identify.recording import Recording
 from agent.identify.result import identified
-from agent.identify.show import delay_line, friction_lines
+from agent.identify.show import delay_line, estimates_table, friction_lines
 from tests.support.arm_files import with_figures
 from tests.support.identify_rig import recorded
 
@@ -145,6 +145,20 @@ def test_model_and_figures_stand_in_arm_file_and_words(known: Known) -> None:
     assert known.fit.delay is not None
     assert delay_line(result).startswith(f"loop delay: {known.fit.delay.value_s:.4f} s ±")
     assert summary["loop_delay"] == known.fit.delay._asdict()
+
+
+def test_what_is_the_best_of_a_few_has_no_standard_error(known: Known) -> None:
+    result = identified(known.recording, Options(), known.fit)
+    chosen = [figure for figure in result.figures if figure.key in TRUE]
+    assert len(chosen) == (2 * 3 if "breakaway_Nm" in known.case.figures else 0)
+    assert {figure.sigma for figure in result.figures if figure not in chosen}.isdisjoint({None, 0.0})
+    table = estimates_table(result)
+    spread = dict(zip(*(table.columns[i].cells for i in (0, 2)), strict=True))
+    said = result.arm_toml((configs.ARMS_DIR / "wx200.toml").read_text())
+    for figure in chosen:
+        assert (figure.sigma, spread[f"{figure.key}, {figure.joint}"]) == (None, "best of a few")
+        assert f'{figure.key} = {{ value = {figure.value!r}, status = "measured"' in said
+    assert said.count("best of a few on held-out data") == len(chosen)
 
 
 def test_what_the_file_has_and_the_model_has_not_is_written_as_zero(known: Known, tmp_path: Path) -> None:
