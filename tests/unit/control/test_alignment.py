@@ -93,8 +93,10 @@ def test_a_shift_moves_and_turns_about_every_axis_and_none_leaves_the_motion_its
         half = 0.5 * np.array(rho)
         turn = (math.cos(0.5 * size), *(math.sin(0.5 * size) / (0.5 * size) * half))
         assert moved.quat == pytest.approx(multiply(turn, desired.quat), abs=1e-13)
-        back = between(moved.p, moved.quat, desired.p, desired.quat)
-        assert back == pytest.approx((0.1, 0.2, 0.3, *rho), abs=1e-13)
+        w, x, y, z = moved.quat
+        for same in ((w, x, y, z), (-w, -x, -y, -z)):
+            back = between(moved.p, same, desired.p, desired.quat)
+            assert back == pytest.approx((0.1, 0.2, 0.3, *rho), abs=1e-13)
 
 
 def test_the_shift_has_limits() -> None:
