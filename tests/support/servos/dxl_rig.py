@@ -252,7 +252,7 @@ def at(arm: ArmMap, **more) -> ArmMap:
 # A planar arm at a rate so low that a stalled host is never late: what the driver contract runs on.
 PLANAR = at(
     WX200,
-    rate_hz=10.0,
+    rate_hz=3.0,
     watchdog_s=2.54,
     joints=tuple(replace(j, role=JointRole.HELD) if j.name == "wrist_rotate" else j for j in WX200.joints),
 )
