@@ -304,6 +304,7 @@ def test_an_agent_that_is_told_to_end_before_it_has_torque_ends_without_and_its_
 
 
 @pytest.mark.fault("P14")
+@pytest.mark.long  # in virtual time, cut anywhere: tests/unit/guard/test_watched.py
 @in_real_time()
 def test_an_arm_is_held_where_the_ring_that_agent_and_guard_share_is_cut(host: Host) -> None:
     """The agent dies of it: it stores its rows into a map of the file."""

@@ -156,7 +156,9 @@ def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
 
 @pytest.mark.fault("N1", "N5", "P10")
 @pytest.mark.parametrize(
-    "run", [without_network, bereft, pytest.param(flooded, marks=pytest.mark.long)], ids=lambda run: run.__name__
+    "run",
+    [bereft, *(pytest.param(run, marks=pytest.mark.long) for run in (without_network, flooded))],
+    ids=lambda run: run.__name__,
 )
 def test_torque_is_the_same_with_network_without_it_under_a_flood_and_bereft_of_telemetry(
     paper_runs: tuple[Path, Path], tmp_path: Path, run: Callable[[Path], dict[str, NDArray[np.void]]]

@@ -365,6 +365,7 @@ def test_the_hash_of_sources_is_of_their_names_and_content_wherever_they_lie(tmp
     assert provenance()["sources"] == hash_of(*(Path(of.__path__[0]) for of in (agent, drivers, sim_backend)))
 
 
+@pytest.mark.long  # tests/process/study/test_stopped.py
 def test_a_study_that_is_left_early_ends_its_processes(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     started, processes = work._start, []
 
