@@ -299,6 +299,13 @@ def test_an_arm_that_would_refuse_the_start_says_so_in_front(living: Arm) -> Non
     assert shown.tone is Tone.BAD
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_an_arm_that_answers_says_whether_it_is_one_of_a_session(living: Arm, *, whole: bool) -> None:
+    assert living.control is not None
+    living.control.standing.details = lambda: {"session": whole}
+    assert status(CELL, CLOCK, logs=())["arms"][0]["session"] is whole
+
+
 def test_a_recorder_at_work_is_found_by_its_lock_which_nobody_takes(tmp_path: Path) -> None:
     (tmp_path / "one.mcap").write_bytes(b"x" * 10)
     (tmp_path / "removed.mcap").symlink_to("nowhere")  # as one that is gone by the time it is looked at
