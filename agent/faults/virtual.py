@@ -49,7 +49,7 @@ class SharedClock:
         self._cell = cell
         self._injectors = injectors
         self._passed = passed
-        self._due: dict[greenlet, int] = {}  # by life
+        self._due: dict[greenlet, int] = {}  # until when each waits
 
     def now_ns(self) -> int:
         """Virtual now; asking takes a little time, as everything does."""

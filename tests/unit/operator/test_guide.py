@@ -223,15 +223,16 @@ def test_every_word_that_is_told_to_arms_of_no_session_is_taken_by_those(left: M
     beside = silent("right", "TRACK") if right is None else arm("right", right.name, session=False)
     said = lines([arm("left", left.name, session=False), beside], "c")
     mode_of = {"left": left} | ({"right": right} if right else {})
-    assert any(f"{name}: {mode.name}: {STEPS_HELD[mode].seen}" in said for name, mode in mode_of.items())
-    stopped = False
-    for word, named in re.findall(r"coop (\w+) c((?: --arm \w+)*)", "\n".join(said[2:])):
-        stopped = stopped or word == "stop"
-        for name in re.findall(r"--arm (\w+)", named) or mode_of:
-            if (mode := mode_of[name]) is not Mode.FAULT:
-                after = effect(Verb.STOP, mode).becomes if stopped else mode
-                assert after is not None
-                assert effect(Verb(word), after).accepted, (word, name, said)
+    assert all(f"{name}: {mode.name}: {STEPS_HELD[mode].seen}" in said for name, mode in mode_of.items())
+    for line in said[2:]:
+        words = re.findall(r"coop (\w+) c((?: --arm \w+)*)", line)
+        for place, (word, named) in enumerate(words):
+            stopped = not {("stop", ""), ("stop", named)}.isdisjoint(words[:place])
+            for name in re.findall(r"--arm (\w+)", named) or mode_of:
+                if (mode := mode_of[name]) is not Mode.FAULT:
+                    after = effect(Verb.STOP, mode).becomes if stopped else mode
+                    assert after is not None
+                    assert effect(Verb(word), after).accepted, (word, name, said)
 
 
 def test_arms_of_no_session_are_supported_and_released_and_not_lowered() -> None:
