@@ -66,9 +66,15 @@ def quiet_memory() -> None:
 def become_realtime(priority: int) -> None:
     """SCHED_FIFO with `priority`, memory locked, precise wake-ups.  Raises RealtimeError when one is refused.
 
-    Helpers started later do not inherit it (SCHED_RESET_ON_FORK).
+    Memory is locked first, which takes longer than LimitRTTIME leaves a real-time thread that does not sleep.  Helpers
+    started later do not inherit it (SCHED_RESET_ON_FORK).
     """
     libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        raise RealtimeError(
+            "locked memory", found=os.strerror(ctypes.get_errno()), expected="all memory locked",
+            remedy="grant LimitMEMLOCK=infinity (the shipped unit does), or leave out --priority",
+        )  # fmt: skip
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (PermissionError, OSError) as error:
@@ -76,9 +82,10 @@ def become_realtime(priority: int) -> None:
             "real-time priority", found=error.strerror, expected=f"SCHED_FIFO {priority}",
             remedy="grant LimitRTPRIO (the shipped unit does), or leave out --priority",
         ) from error  # fmt: skip
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
-        raise RealtimeError(
-            "locked memory", found=os.strerror(ctypes.get_errno()), expected="all memory locked",
-            remedy="grant LimitMEMLOCK=infinity (the shipped unit does), or leave out --priority",
-        )  # fmt: skip
     libc.prctl(_PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
+
+
+def leave_realtime() -> None:
+    """Back to the priority of others, for what takes long: writing files, and the end, which frees all memory."""
+    if granted().real:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

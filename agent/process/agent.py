@@ -23,7 +23,7 @@ from agent.guard.guarded import UNGUARDED, Guarded
 from agent.guard.line import GuardError
 from agent.host.latency import files, newest
 from agent.host.notify import Notifier
-from agent.host.realtime import become_realtime, granted, quiet_memory
+from agent.host.realtime import become_realtime, granted, leave_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.modes import TABLE, Event, Mode
@@ -99,10 +99,11 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         try:
             info = driver.connect()
             tell.clock = clock  # from here on it has the run's time
+            # takes longer than the servos' watchdog waits on a busy host, and than a real-time thread may go on
+            law = _law(cell, options, driver, tell)
             quiet_memory()
             if options.priority is not None:
                 become_realtime(options.priority)
-            law = _law(cell, options, driver, tell)  # takes longer than the servos' watchdog waits on a busy host
             if options.driver is not DriverKind.SIM:  # for a simulated arm, which cannot fall, the others would wait
                 Unbegun.check(arm.name, stop, control)
             driver.enable()
@@ -145,6 +146,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if guard is not None:
                 guard.leave()
             driver.close()
+            leave_realtime()
             notifier.stopping("torque off")
     return ArmLost.check(arm.name, summary, session=options.whole)
 

@@ -16,7 +16,7 @@ from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
 from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.notify import Notifier
-from agent.host.realtime import become_realtime, quiet_memory
+from agent.host.realtime import become_realtime, leave_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
 from agent.process.agent import ArmLost
@@ -56,12 +56,12 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             info = driver.connect()
             tell.clock = clock
             require_within(floats, driver)
-            quiet_memory()
-            if options.priority is not None:
-                become_realtime(options.priority)
             # before the torque: from then on the servos' watchdogs run
             stops = partial(_stops, stop if words is None else words.stops, guard)
             loop = FloatLoop(floats, options, driver, clock, ring, stops, tell, texts, notifier, told=words)
+            quiet_memory()
+            if options.priority is not None:
+                become_realtime(options.priority)
             Unbegun.check(arm.name, stop, None if words is None else words.control)
             driver.enable()
             notifier.ready(TABLE[Mode.FLOAT if words is None else Mode.READY].says)
@@ -84,6 +84,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if guard is not None:
                 guard.leave()
             driver.close()
+            leave_realtime()
             notifier.stopping("torque off")
     return ArmLost.check(arm.name, summary)
 

@@ -26,7 +26,7 @@ from agent.guard.resume import beginning
 from agent.guard.takeover import WATCH_NS, vigil_of
 from agent.guard.watched import DESCRIPTORS, Watched
 from agent.host.notify import Notifier, stored_fds
-from agent.host.realtime import become_realtime, quiet_memory
+from agent.host.realtime import become_realtime, leave_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.process.build import Standby, build_agent, build_standby, port_of
@@ -76,6 +76,7 @@ class _Guard:
     """One arm's guard."""
 
     def __init__(self, cell: Cell, options: GuardOptions, stop: StopFlag, stack: ExitStack) -> None:
+        stack.callback(leave_realtime)
         self._cell, self._options, self._stop = cell, options, stop
         self._arm: Arm = cell.arm(options.agent.arm)
         self._q_start = _q_start(cell, self._arm)

@@ -7,6 +7,7 @@ How soon is printed (`pytest -rP`), not asserted: the list of faults bounds it i
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -58,6 +59,8 @@ class Host:
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self.words,
         )  # fmt: skip
         self.processes.append(process)
+        if command in ("guard", "agent"):  # as their units have it: a real-time thread that does not sleep is ended
+            resource.prlimit(process.pid, resource.RLIMIT_RTTIME, (50_000, 100_000))
         return process
 
     def said(self, process: subprocess.Popen[str]) -> str:

@@ -10,6 +10,7 @@ import gc
 import json
 import mmap
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -20,6 +21,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
+from agent.doctor.host import fifo_granted
 from agent.host.realtime import RealtimeError, become_realtime, quiet_memory
 from agent.loop import Agent, initial_memory, step
 from agent.modes import Mode
@@ -47,6 +49,27 @@ def test_a_locked_agent_has_no_major_fault_and_no_collection_under_memory_pressu
     assert found["before"]["faults"] > 0, "the pressure is felt where nothing is locked"
     assert found["before"]["collections"] > 0, "and so is the collector where it is on"
     assert found["locked"] == {"faults": 0, "collections": 0}
+
+
+@pytest.mark.skipif(not fifo_granted(), reason="this host gives no real-time priority")
+@pytest.mark.parametrize("priority", [1, 80])
+def test_an_agent_locks_its_memory_before_the_unit_counts_the_time_that_it_does_not_sleep(priority: int) -> None:
+    """LimitRTTIME of the shipped units; to lock what an agent has loaded takes longer."""
+    code = (
+        "import agent.process.agent as a, time; a.quiet_memory()\n"
+        f"a.become_realtime({priority}); print(a.granted().real, a.granted().locked_bytes > 100e6)\n"
+        "a.leave_realtime(); print(a.granted().policy)\n"
+        "begin = time.process_time()\nwhile time.process_time() < begin + 0.15: pass"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, preexec_fn=_limit
+    )
+    assert (ran.returncode, ran.stdout.split()) == (0, ["True", "True", "SCHED_OTHER"]), ran.stderr
+
+
+def _limit() -> None:
+    (text,) = re.findall(r"LimitRTTIME=(\d+)ms:(\d+)ms", (ROOT / "systemd" / "coop-agent@.service").read_text())
+    resource.setrlimit(resource.RLIMIT_RTTIME, (1000 * int(text[0]), 1000 * int(text[1])))
 
 
 def _press() -> None:

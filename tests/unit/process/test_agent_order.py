@@ -119,6 +119,33 @@ def test_a_host_that_builds_the_law_slowly_trips_no_watchdog(tmp_path: Path, mon
     assert emulated.arms[0].bus.counters.watchdog_trips == 0
 
 
+def test_what_takes_long_is_done_before_an_agent_is_a_real_time_thread_and_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its unit ends one that does not sleep for 50 ms."""
+    _, clock, driver = rig()
+    stop, done = StopFlag(), list[str]()
+
+    def noted(name: str, does: Any) -> Any:
+        return lambda *given, **named: (done.append(name), does(*given, **named))[1]
+
+    def ready(text: str) -> None:
+        stop.stopped = text == "torque=on"
+
+    nothing = lambda *_: None  # noqa: E731
+    for name in ("_law", "quiet_memory", "become_realtime", "leave_realtime"):
+        monkeypatch.setattr(process, name, noted(name, process._law if name == "_law" else nothing))
+    for name in ("connect", "enable", "close"):
+        monkeypatch.setattr(driver, name, noted(name, getattr(driver, name)))
+    monkeypatch.setattr(process, "build_driver", lambda *_: (driver, clock))
+    process.run_agent(CELL, options(tmp_path, priority=80), stop, ready)
+    begun, ended = done[: done.index("enable") + 1], done[-2:]
+    assert [name for name in begun if name != "close"] == [
+        "connect", "_law", "quiet_memory", "become_realtime", "enable",
+    ]  # fmt: skip
+    assert ended == ["close", "leave_realtime"]
+
+
 @pytest.mark.fault("C3")
 def test_an_agent_tells_that_the_wall_clock_was_set_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
