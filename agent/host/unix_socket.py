@@ -21,13 +21,14 @@ _LOOK_S = 0.01
 Identity = tuple[int, int]
 
 
-def listen_alone(path: Path, backlog: int) -> tuple[socket.socket, Identity] | None:
+def listen_alone(path: Path, backlog: int, wait_s: float = WAIT_S) -> tuple[socket.socket, Identity] | None:
     """A SOCK_SEQPACKET socket that listens at `path` (mode 0600) and never blocks, and which file that is.
 
-    None when somebody serves that name: it is left alone.  Raises OSError, also where somebody keeps the folder locked.
+    None when somebody serves that name: it is left alone.  Raises OSError, also where somebody keeps the folder locked
+    for wait_s.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with contextlib.ExitStack() as undo, _alone_in(path.parent):
+    with contextlib.ExitStack() as undo, _alone_in(path.parent, wait_s):
         if not _remove_unserved(path):
             return None
         own = undo.enter_context(_unconnected())
@@ -64,15 +65,15 @@ def _identity(path: Path) -> Identity:
 
 
 @contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
+def _alone_in(folder: Path, wait_s: float) -> Iterator[None]:
     """Two processes that begin at once take this folder one after the other; whoever may read it can keep it, too."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        deadline = time.monotonic() + WAIT_S
+        deadline = time.monotonic() + wait_s
         while not lock(descriptor):
             if time.monotonic() >= deadline:
-                raise TimeoutError(ETIMEDOUT, f"for {WAIT_S:g} s a lock{holder(descriptor)} on its folder")
-            time.sleep(_LOOK_S)
+                raise TimeoutError(ETIMEDOUT, f"for {wait_s:g} s a lock{holder(descriptor)} on its folder")
+            time.sleep(min(_LOOK_S, wait_s))
         yield
     finally:
         os.close(descriptor)

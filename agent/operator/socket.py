@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent.host.unix_socket import listen_alone, peer_uid, remove, said_of
+from agent.host.unix_socket import WAIT_S, listen_alone, peer_uid, remove, said_of
 from agent.modes import Event, Mode
 from agent.operator.error import ControlError
 from agent.operator.message import MAX_BYTES, Reply, Request
@@ -70,8 +70,11 @@ class Standing:
 class ControlSocket:
     """The agent's end; `poll` is one system call when nobody asks."""
 
-    def __init__(self, path: Path, fingerprint: str, standing: Standing) -> None:
-        """Listen at `path` (mode 0600), in the place of a socket that nobody serves.  Raises ControlError."""
+    def __init__(self, path: Path, fingerprint: str, standing: Standing, wait_s: float = WAIT_S) -> None:
+        """Listen at `path` (mode 0600), in the place of a socket that nobody serves.  Raises ControlError.
+
+        wait_s: for another process that begins in the same folder.
+        """
         self.standing = standing
         self.requests = Requests()
         self._path = path
@@ -79,7 +82,7 @@ class ControlSocket:
         self._clients: list[socket.socket] = []
         self._promise = Promise()
         try:
-            taken = listen_alone(path, _CLIENTS_MAX)
+            taken = listen_alone(path, _CLIENTS_MAX, wait_s)
         except OSError as error:
             raise ControlError(
                 f"control socket {path}", found=said_of(error), expected="a free name in a folder that can be written",
@@ -106,7 +109,7 @@ class ControlSocket:
 
     def _accept(self) -> None:
         """Take in everybody who has come."""
-        with contextlib.suppress(BlockingIOError):
+        with contextlib.suppress(OSError):  # nobody is left, or this process has no descriptor to spare
             while True:
                 client, _ = self._socket.accept()
                 client.setblocking(False)

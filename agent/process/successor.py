@@ -35,6 +35,7 @@ from drivers.clock import MonotonicClock
 from drivers.interface import Refusal
 
 POST_MORTEM_AFTER_S = 0.3  # of the hold, so that its first cycles are in it
+FOLDER_WAIT_S = 0.02  # for who begins beside it: a cell's guards may take over at once, and servos wait for 0.2 s
 HOLDS, HANDED_OVER = "holds in the agent's place", "the agent was asked to end"
 
 
@@ -56,6 +57,7 @@ class Successor:
     ) -> None:  # fmt: skip
         self._cell, self._arm, self._agent = cell, arm, agent
         self._options, self._stop, self._notifier = options, stop, notifier
+        self._bounds = monitors.bounds(cell, arm)  # which takes longer than a cycle
         self._session = False  # whether the agent went from rest to rest
         self._tell: Teller | None = None
 
@@ -81,13 +83,13 @@ class Successor:
             level = Level.INFO if reason == HANDED_OVER else Level.ERROR
             tell.event(level, f"{reason}: the guard holds the arm", **since)
             standing = Standing(arm.name, Mode.HOLD, reason)
-            control = self._listening(standing, tell, stack)
             schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
             try:
                 begun = go_on(self._agent, driver, clock, rows, schedule, reason, session=session)
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise
+            control = self._listening(standing, tell, stack)  # once the servos have a torque, which waits for nobody
             black_box = self._black_box(watched.ring, reason)
             # it takes seconds: the arm is let go of first
             stack.callback(black_box.finish, self._notifier.alive, lambda why: tell.warn(f"no post-mortem: {why}"))
@@ -97,7 +99,7 @@ class Successor:
             led = led_back(self._cell, arm, self._agent, driver, begun, standing) if leads else None
             around = self._around(control, driver, watched, clock, tell, black_box, begun.mode)
             row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
-            watch = Watch(monitors.bounds(self._cell, arm), tell.warn)
+            watch = Watch(self._bounds, tell.warn)
             cpu_s = time.process_time()
             runner = Runner(self._agent, driver, clock, schedule, row, watched.writer, around, watch, begun, led)
             summary = runner.run()
@@ -111,7 +113,7 @@ class Successor:
         if path is None:
             return None
         try:
-            control = ControlSocket(path, self._cell.fingerprint, standing)
+            control = ControlSocket(path, self._cell.fingerprint, standing, FOLDER_WAIT_S)
         except ControlError as error:
             tell.event(Level.ERROR, f"no word reaches this hold, SIGUSR1 to process {os.getpid()} releases it: {error}")
             return None

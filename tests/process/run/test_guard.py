@@ -5,6 +5,7 @@ How soon, in virtual time: `tests/unit/guard/test_takeover.py`.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import signal
@@ -24,6 +25,7 @@ from agent.guard.agent_end import AgentEnd
 from agent.guard.guarded import HAND_OVER_AFTER
 from agent.guard.line import GuardError, Word
 from agent.guard.takeover import EMULATED_STALE_NS
+from agent.host.unix_socket import WAIT_S
 from agent.log.read import read_log
 from agent.modes import Mode
 from agent.operator.ask import ask_arms
@@ -76,6 +78,7 @@ main()
 # the command with what it loads loaded, while the servos start; its words come on standard input
 LOADING = """
 import json, os, sys
+from agent.host.unix_socket import WAIT_S
 from agent.host.starting import settle
 settle()
 import agent.process.agent, agent.process.guard
@@ -432,8 +435,8 @@ def test_an_arm_is_held_where_no_word_can_be_heard_and_a_signal_releases_it(host
     guard = host.guard("--hold")
     agent = host.agent()
     host.wait(lambda: len(host.rows()) > SOME_ROWS)
-    (host.folder / "left.control").unlink()
-    (host.folder / "left.control").write_text("somebody's")
+    reader = os.open(host.folder, os.O_RDONLY)
+    fcntl.flock(reader, fcntl.LOCK_SH)  # whoever may read the folder can: no arm waits for that
     guard.send_signal(signal.SIGUSR1)  # while it holds nothing, as one that was meant for all guards of a host
     before = len(host.rows())
     host.wait(lambda: len(host.rows()) > before + SOME_ROWS)
@@ -442,6 +445,8 @@ def test_an_arm_is_held_where_no_word_can_be_heard_and_a_signal_releases_it(host
     assert guard.poll() is None
     (told,) = [text for text in host.told() if text.startswith("no word reaches")]
     assert told.startswith(f"no word reaches this hold, SIGUSR1 to process {guard.pid} releases it: control socket")
+    assert np.diff(host.rows()["stamp_ns"]).max() < 1e9 * WAIT_S, "the arm is not kept waiting for the folder"
+    os.close(reader)
     guard.send_signal(signal.SIGUSR1)
     assert guard.wait(PATIENCE_S) == 0
 

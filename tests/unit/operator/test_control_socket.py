@@ -608,17 +608,14 @@ def test_two_agents_that_begin_at_once_take_a_folder_one_after_the_other(
         assert tried == ["waits"]
 
 
-def test_a_folder_that_a_reader_keeps_locked_is_waited_for_not_for_ever_and_who_has_it_is_named(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(unix_socket, "WAIT_S", 0.05)
+def test_a_folder_that_a_reader_keeps_locked_is_waited_for_not_for_ever_and_who_has_it_is_named(path: Path) -> None:
     reader = os.open(path.parent, os.O_RDONLY)
     try:
         fcntl.flock(reader, fcntl.LOCK_SH)
         with pytest.raises(
             ControlError, match=rf"found for 0.05 s a lock of process {os.getpid()} \(.+\) on its folder"
         ):
-            listening(path)
+            ControlSocket(path, FINGERPRINT, Standing("left"), wait_s=0.05)
     finally:
         os.close(reader)
     with closing(listening(path)):

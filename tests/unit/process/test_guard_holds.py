@@ -1,0 +1,70 @@
+"""What a guard does at a takeover before the servos have a torque, and what it has done long before."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.config.agent import build_agent
+from agent.config.cell import load_cell
+from agent.config.schema.driver import DriverKind
+from agent.host.notify import Notifier
+from agent.host.signals import StopFlag
+from agent.operator.socket import Standing
+from agent.process import successor as process
+from agent.process.build import Connection
+from agent.process.schedule import AgentOptions
+from agent.process.successor import GuardOptions, Successor
+from agent.telemetry.row.sample import AGENT_STATE
+from drivers.dynamixel.arm_map import WATCHDOG_S
+from drivers.interface import Refusal
+
+CELL = load_cell(Path("two_wx200"))
+
+
+def made(folder: Path) -> Successor:
+    arm = CELL.arm("left")
+    options = AgentOptions(
+        "left", DriverKind.DYNAMIXEL, Connection(), ring=folder / "left.ring", control=folder / "left.control", lockstep=False,
+        hold=True,
+    )  # fmt: skip
+    given = GuardOptions(options, Path(), folder / "guard", folder)
+    return Successor(CELL, arm, build_agent(CELL, arm), given, StopFlag(), Notifier(""))
+
+
+def test_the_servos_have_a_torque_before_words_are_heard_and_bounds_are_there_already(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    guard, done = made(tmp_path), list[str]()
+
+    def go_on(*_: Any, **__: Any) -> Any:
+        done.append("torque")
+        raise Refusal("arm left", found="that this is enough", expected="a test", remedy="none")
+
+    monkeypatch.setattr(process, "go_on", go_on)
+    monkeypatch.setattr(process, "ControlSocket", lambda *_: done.append("words"))
+    monkeypatch.setattr(process.monitors, "bounds", lambda *_: done.append("bounds"))
+    texts = SimpleNamespace(finish=lambda: None, event=lambda _: None)
+    watched: Any = SimpleNamespace(
+        last_rows=lambda: np.zeros(0, AGENT_STATE.dtype), texts=texts, writer=texts, inherit=lambda _: None
+    )
+    with pytest.raises(Refusal, match="this is enough"):
+        guard.hold(watched, SimpleNamespace(), "the agent has died", session=False)  # type: ignore[arg-type]
+    assert done == ["torque"]
+
+
+def test_a_folder_that_somebody_keeps_is_not_waited_for_while_the_servos_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits = list[float]()
+    monkeypatch.setattr(process, "ControlSocket", lambda *given: waits.append(given[3]) or SimpleNamespace(close=None))
+    with ExitStack() as stack:
+        made(tmp_path)._listening(Standing("left"), SimpleNamespace(), stack)  # type: ignore[arg-type]
+        stack.pop_all()
+    assert waits == [0.02]
+    assert waits[0] <= 0.1 * WATCHDOG_S
