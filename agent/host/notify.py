@@ -1,4 +1,4 @@
-"""Readiness and life signs to the service manager (sd_notify), lost rather than waited for."""
+"""Readiness and life signs to the service manager (sd_notify), lost rather than waited for or stumbled over."""
 
 from __future__ import annotations
 
@@ -33,25 +33,31 @@ class Notifier:
         path = address if address is not None else os.environ.get("NOTIFY_SOCKET", "")
         self._is_longer = False  # the watchdog's interval than the unit's
         self._watchdog_us = os.environ.get("WATCHDOG_USEC", "")  # the unit's interval; empty without one
-        self._socket: socket.socket | None = None
+        self._socket: socket.socket | None = None  # not connected: who comes back under that name is told again
+        self._address = ""
         if path:
+            self._address = "\0" + path[1:] if path.startswith("@") else path
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+                probe.connect(self._address)
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-            self._socket.connect("\0" + path[1:] if path.startswith("@") else path)
             self._socket.setblocking(False)
 
     def send(self, state: str) -> None:
-        """Send one state line, e.g. "READY=1"; a full queue loses it, which the watchdog interval allows for."""
+        """Send one state line, e.g. "READY=1"; a full queue loses it, which the watchdog interval allows for.
+
+        So does a service manager that is gone: whoever holds an arm goes on.
+        """
         if self._socket is not None:
-            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-                self._socket.send(state.encode())
+            with contextlib.suppress(OSError):
+                self._socket.sendto(state.encode(), self._address)
 
     def keep(self, name: str, fd: int) -> None:
         """Let the service manager keep a descriptor for this service's next process, in the place of an older one."""
         if self._socket is not None:
             self.send(f"FDSTOREREMOVE=1\nFDNAME={name}")
             rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [fd]))]
-            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-                self._socket.sendmsg([f"FDSTORE=1\nFDNAME={name}".encode()], rights)
+            with contextlib.suppress(OSError):
+                self._socket.sendmsg([f"FDSTORE=1\nFDNAME={name}".encode()], rights, 0, self._address)
 
     def loading(self, status: str) -> None:
         """Tell that units ordered behind this one may start; `ready`, or the first stroke, begins the watchdog."""

@@ -109,6 +109,33 @@ def test_a_manager_that_does_not_read_holds_nobody_up(manager: socket.socket, tm
     notifier.close()
 
 
+def test_a_manager_that_is_gone_ends_nobody_and_is_told_again_once_it_is_back(tmp_path: Path) -> None:
+    """Of a loop that strokes it 50 times a second."""
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as first:
+        first.bind(str(path))
+        notifier = Notifier(str(path))
+        out, into = os.pipe()
+    for _ in range(3):
+        notifier.alive()
+        notifier.keep("port", out)
+    path.unlink()
+    notifier.alive()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as second:
+        second.bind(str(path))
+        second.settimeout(5.0)
+        notifier.alive()
+        assert second.recv(1000) == b"WATCHDOG=1"
+    notifier.close()
+    for fd in (out, into):
+        os.close(fd)
+
+
+def test_a_manager_that_nobody_serves_is_an_error_at_the_start(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        Notifier(str(tmp_path / "nobody"))
+
+
 def test_a_manager_may_have_a_name_without_a_file() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
         end.bind(f"\0coop-test-{os.getpid()}")
