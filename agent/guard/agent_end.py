@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from agent.guard.line import MAX_BYTES, GuardError, Word, close_all, received
 from agent.host.unix_socket import said_of
 
 REPLY_S = 2.0
+LEAST_S = 1e-3  # of one wait, for 0 would be none
 
 
 class AgentEnd:
@@ -22,6 +25,7 @@ class AgentEnd:
         """Connect; patience_s: 0 never blocks.  Raises GuardError when nobody listens."""
         self._path = path
         self._fingerprint = fingerprint
+        self._put_by = deque[Mapping[str, Any]]()  # answers to what was said before, which came first
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
         self._socket.settimeout(patience_s)
         try:
@@ -38,22 +42,32 @@ class AgentEnd:
             ) from error  # fmt: skip
 
     def ask(self, word: Word, fds: Sequence[int] = (), **content: Any) -> tuple[int, ...]:
-        """Say a word and wait for the answer; the descriptors that came with it.  Raises GuardError."""
+        """Say a word and wait for its answer; the descriptors that came with it.  Raises GuardError.
+
+        An answer to what was said before is for `heard`.
+        """
         with contextlib.suppress(GuardError):  # who is refused at the door is told so, and then cannot say it
             self.say(word, fds, **content)
-        self._socket.settimeout(REPLY_S)
+        deadline_s = time.monotonic() + REPLY_S
         try:
-            data, got = received(self._socket)
-            answer = json.loads(data)
+            while True:
+                self._socket.settimeout(max(LEAST_S, deadline_s - time.monotonic()))
+                data, got = received(self._socket)
+                answer: dict[str, Any] = json.loads(data)
+                if answer.get("to", word) == word:
+                    break
+                close_all(got)
+                self._put_by.append(answer)
         except TimeoutError as error:
             raise self._busy(f"no answer to {word.value!r} within {REPLY_S:g} s") from error
         except (OSError, ValueError) as error:
             raise self._gone(word) from error
         finally:
             self._socket.setblocking(False)
-        if not answer.pop("ok", False):
+        if not answer.get("ok"):
             close_all(got)
-            raise GuardError(f"the guard at {self._path} refuses {word.value!r}", **answer)
+            why = {name: answer[name] for name in ("found", "expected", "remedy")}
+            raise GuardError(f"the guard at {self._path} refuses {word.value!r}", **why)
         return got
 
     def say(self, word: Word, fds: Sequence[int] = (), **content: Any) -> None:
@@ -65,7 +79,12 @@ class AgentEnd:
             raise self._gone(word) from error
 
     def heard(self) -> Mapping[str, Any] | None:
-        """An answer that has come, {} when none has; None when the guard is gone.  Never blocks."""
+        """An answer that has come, {} when none has; None when the guard is gone.  Never blocks.
+
+        `to` is the word that it is to; none: to whatever was said last.
+        """
+        if self._put_by:
+            return self._put_by.popleft()
         try:
             data = self._socket.recv(MAX_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from agent.guard.line import MAX_BYTES, GuardError, Said, close_all, received, understood
+from agent.guard.line import MAX_BYTES, GuardError, Said, Word, close_all, received, understood
 from agent.host.unix_socket import listen_alone, peer_uid, remove, said_of
 from drivers.interface import Refusal
 
@@ -27,6 +27,7 @@ class GuardEnd:
         self._fingerprint = fingerprint
         self._agent: socket.socket | None = None
         self._refused: list[socket.socket] = []
+        self._heard: Word | None = None  # to which the next answer is
         try:
             taken = listen_alone(path, BACKLOG)
         except OSError as error:
@@ -68,6 +69,7 @@ class GuardEnd:
             self.hang_up()
             return None
         said = understood(data, fds, self._fingerprint)
+        self._heard = said.word if isinstance(said, Said) else None
         if isinstance(said, Said):
             return said
         close_all(fds)
@@ -129,7 +131,8 @@ class GuardEnd:
     def _reply(self, answer: Mapping[str, Any], fds: Sequence[int] = ()) -> None:
         if self._agent is None:
             return
+        to = {} if self._heard is None else {"to": self._heard.value}
         try:
-            socket.send_fds(self._agent, [json.dumps(answer).encode()], list(fds), socket.MSG_DONTWAIT)
+            socket.send_fds(self._agent, [json.dumps({**answer, **to}).encode()], list(fds), socket.MSG_DONTWAIT)
         except OSError:  # it does not listen: its process or its rows will tell
             return

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from agent.guard.agent_end import AgentEnd
-from agent.guard.line import GuardError, Word
+from agent.guard.line import GuardError, Word, close_all
 from agent.guard.pulse import Pulse
 from agent.guard.vigil import Vigil
 from agent.telemetry.row.event import Level
@@ -81,7 +81,14 @@ class Guarded:
                 f"port from the guard at {self._path}", found="no guard any more" if self._end is None else HANGS,
                 expected="one that lends it", remedy="start the guard again",
             )  # fmt: skip
-        (fd,) = self._end.ask(Word.PORT, again=self._lent)
+        fds = self._end.ask(Word.PORT, again=self._lent)
+        if len(fds) != 1:
+            close_all(fds)
+            raise GuardError(
+                f"port from the guard at {self._path}", found=f"{len(fds)} descriptors", expected="one",
+                remedy="start agent and guard from one release",
+            )  # fmt: skip
+        (fd,) = fds
         self._lent = True
         return fd
 
@@ -121,14 +128,15 @@ class Guarded:
         if heard is None:
             self._end.close()
             return self._lost()
-        if heard and self._asked_back:
+        to = heard.get("to")
+        if heard and self._asked_back and to in (None, Word.WATCH):
             if heard.get("ok"):
                 self._asked_back = False
                 self._vigil = self._new_vigil()
                 self._tell(Level.INFO, "the guard is back and watches")
             else:
                 self._tell(Level.ERROR, f"the guard is back and does not watch: found {heard.get('found')}")
-        elif self._hands_over and heard.get("ok"):
+        elif self._hands_over and heard.get("ok") and to in (None, Word.TAKE):
             self._tell(Level.INFO, "hands the arm to the guard, as it was asked to end")
             self._end_process(0)
         return self._found_hanging()

@@ -377,6 +377,34 @@ def test_who_was_never_watched_leaves_without_a_word(bench: Bench) -> None:
     assert not bench.lines[0][0].open
 
 
+def test_only_the_answer_to_a_word_says_that_it_was_heard(bench: Bench) -> None:
+    bench.watch()
+    bench.answers = [{"ok": True, "to": "port"}] * (HAND_OVER_AFTER + 3)
+    assert not any(bench.agent.poll(ending=True) for _ in range(HAND_OVER_AFTER + 3))
+    assert bench.ended == [], "the port is not the hand-over"
+    bench.answers = [{"ok": True, "to": "take"}]
+    with pytest.raises(Ended):
+        bench.agent.poll(ending=True)
+
+
+def test_a_guard_that_is_back_watches_once_it_has_answered_that_word(bench: Bench) -> None:
+    bench.watch()
+    bench.loses()
+    bench.answers = [{}] * AGAIN_AFTER + [{"ok": True, "to": "port"}, {"ok": True, "to": "watch"}]
+    seen = []
+    while bench.answers:
+        bench.agent.poll()
+        seen.append(bench.agent.there)
+    assert seen[-2:] == [False, True]
+    bench.agent.leave()
+
+
+def test_an_answer_without_the_port_is_an_error_that_the_loop_knows(bench: Bench) -> None:
+    bench.lines[0][0].ask = lambda *_, **__: ()  # type: ignore[method-assign]
+    with pytest.raises(GuardError, match="found 0 descriptors, expected one"):
+        bench.agent.borrow()
+
+
 def test_a_guard_that_did_not_hear_that_it_is_to_go_on_is_told_again(bench: Bench) -> None:
     bench.watch()
     bench.silent = True

@@ -79,6 +79,24 @@ def test_words_and_descriptors_come_through_both_ways(guard: GuardEnd, tmp_path:
         os.close(fd)
 
 
+@pytest.mark.fault("P7")
+def test_an_answer_that_comes_late_is_not_taken_for_that_to_a_later_word(guard: GuardEnd, tmp_path: Path) -> None:
+    """An agent that has found a guard again, and then loses its port."""
+    agent = AgentEnd(path(tmp_path), CELL)
+    out, into = os.pipe()
+    agent.say(Word.WATCH)
+    asking = Asking(agent, Word.PORT)
+    assert heard(guard).word is Word.WATCH
+    guard.answer()
+    assert heard(guard).word is Word.PORT
+    guard.answer((out,))
+    asking.join(timeout=10.0)
+    assert (asking.error, len(asking.fds)) == (None, 1)
+    assert [agent.heard()] == [{"ok": True, "to": "watch"}], "and it is not lost"
+    for fd in (out, into, *asking.fds):
+        os.close(fd)
+
+
 def test_a_word_of_another_cell_is_refused_and_what_it_brought_is_closed(guard: GuardEnd, tmp_path: Path) -> None:
     out, into = os.pipe()
     asking = Asking(AgentEnd(path(tmp_path), OTHER), Word.WATCH, (into,))

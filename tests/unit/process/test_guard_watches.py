@@ -87,7 +87,7 @@ def watching(
         end.say(Word.WATCH, (pidfd, pulse.fileno(), ring.fileno(), texts.fileno()), ring="left.ring", driver={})
     os.close(pidfd)
     assert made._look() == ""
-    assert end.heard() == {"ok": True}
+    assert end.heard() == {"ok": True, "to": "watch"}
     return made, ring, end
 
 
