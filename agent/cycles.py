@@ -53,14 +53,17 @@ class Cycles:
         self._tried_ns = begin_ns - patience.retry * period_ns
         self._failed = 0  # one bit for each of the last WINDOW cycles
         self._waited = False  # in this cycle, for the first state
-        self._trusted = True  # the last cycles were as they should be
+        self._trusted = True  # the last cycles were as they should be, or it has not been told yet that they were not
         self._recovers = False
 
     def gap_s(self, now_ns: int) -> float:
         """A cycle begins; seconds since the last one did, 0 where no time was lost."""
         passed_ns = 0 if self._begun_ns is None else now_ns - self._begun_ns
         self._begun_ns = now_ns
-        return passed_ns * 1e-9 if passed_ns > self._patience.gap * self._period_ns else 0.0
+        if passed_ns <= self._patience.gap * self._period_ns:
+            return 0.0
+        self._trusted = self._good_enough  # what that gap has left of it is told with it
+        return passed_ns * 1e-9
 
     def without_state(self, deadline_ns: int) -> int:
         """Cycles since the last state, this one with them."""
@@ -93,7 +96,8 @@ class Cycles:
     def end(self, skipped: int, *, good: bool) -> float | None:
         """This cycle and `skipped` ones after it are over; the share of good ones once that falls below the least.
 
-        Not after a gap: the next cycle will tell of that, before it acts.
+        Not after a gap, of which the next cycle tells before it acts; where it finds none, because this one began late
+        as well, it tells of the share.
         """
         if self._waited:
             self._waited = False
@@ -102,6 +106,15 @@ class Cycles:
             self._fresh_ns += skipped * self._period_ns
         missed = min(skipped, WINDOW)
         self._failed = ((self._failed << 1 | (not good)) << missed | (1 << missed) - 1) & _MASK
-        share = 1.0 - self._failed.bit_count() / WINDOW
-        trusted, self._trusted = self._trusted, share >= self._patience.success_min
-        return share if trusted and not self._trusted and skipped < self._patience.gap else None
+        told = self._trusted and not self._good_enough and skipped < self._patience.gap
+        self._trusted = self._good_enough or (self._trusted and not told)
+        return self._share if told else None
+
+    @property
+    def _share(self) -> float:
+        """Of good cycles among the last."""
+        return 1.0 - self._failed.bit_count() / WINDOW
+
+    @property
+    def _good_enough(self) -> bool:
+        return self._share >= self._patience.success_min

@@ -145,8 +145,23 @@ def test_a_gap_is_left_to_the_cycle_after_it(skipped: int) -> None:
     mine = cycles()
     for _ in range(5):
         mine.end(0, good=False)
+    mine.gap_s(at(300))
     assert mine.end(skipped, good=True) is None
+    assert mine.gap_s(at(301 + skipped)) > 0.0
     assert mine.end(0, good=False) is None
+    for _ in range(WINDOW):
+        assert mine.end(0, good=True) is None
+    assert sum(mine.end(0, good=False) is not None for _ in range(20)) == 1, "trusted again, it is told again"
+
+
+def test_lost_cycles_are_told_of_where_the_next_one_finds_no_gap() -> None:
+    """One that began late and took long: from its beginning to the next it is less than from its deadline."""
+    mine = cycles()
+    mine.gap_s(at(306))
+    assert mine.end(11, good=False) is None
+    assert mine.gap_s(at(312)) == 0.0
+    assert mine.end(0, good=True) == pytest.approx(0.88)
+    assert mine.end(0, good=True) is None
 
 
 def test_a_patience_without_a_share_asks_for_none() -> None:
