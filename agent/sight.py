@@ -56,7 +56,8 @@ class Sight:
     def read(self, mode: Mode) -> tuple[JointState | None, Event]:
         """Fresh state or None, and whether anything is wrong with the arm, which `unseen` says then."""
         try:
-            return self._driver.read(), Event.NONE
+            fresh, self._fault = self._driver.read(), ""
+            return fresh, Event.NONE
         except WaitEnded as error:
             self.unseen = str(error)
             return None, Event.NONE

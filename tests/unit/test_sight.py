@@ -183,6 +183,15 @@ def test_an_arm_that_nobody_brings_back_says_why_too() -> None:
     assert seen.why(silent).startswith("servo 2: rebooted")
 
 
+@pytest.mark.parametrize("between", [STATE, None])
+def test_a_fault_that_was_over_meanwhile_is_a_new_one(between: JointState | None) -> None:
+    """An arm that was brought back, and trips again on its way; one that was not seen meanwhile has the old one."""
+    silent = StaleStateError("state", found="none", expected="one", remedy="look")
+    seen, _ = sight(Reads(fault(STATE), between or silent, fault(STATE)))
+    events = [seen.read(Mode.PARK)[1] for _ in range(3)]
+    assert events == [Event.TROUBLE, Event.NONE, Event.TROUBLE if between else Event.NONE]
+
+
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_fault_that_lasts_is_borne_on_the_way_back_of_a_session(mode: Mode) -> None:
     seen, _ = sight(Reads(fault(STATE), fault(STATE), fault(STATE, "servo 3")))
