@@ -155,13 +155,13 @@ class Runner:
 
     def _judged(self, session: SessionLoop, happened: Event, *, seen: bool) -> Event:
         """What counts of what happened, with what the arm found out by itself; a refused word is told."""
-        happened = session.judge(self._mode, happened, self._memory, seen=seen)
+        judged = session.judge(self._mode, happened, self._memory, seen=seen)
         said, session.reason = session.reason, ""
-        if said and happened & (Event.TROUBLE | Event.STOP):
+        if said and judged & ~happened & (Event.TROUBLE | Event.STOP):
             self._reason = said
         elif said:
             self._telling.refused(said)
-        return happened
+        return judged
 
     def _next(self, happened: Event) -> Mode:
         if self._session is None:

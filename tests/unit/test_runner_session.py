@@ -67,6 +67,16 @@ def test_a_word_that_is_refused_is_told_and_no_reason_of_a_hold() -> None:
     assert run_of(Script({}, {})).refused == []
 
 
+@pytest.mark.parametrize("stop", [Event.STOP, Event.NONE])
+def test_a_word_that_is_refused_while_something_else_stops_the_arm_is_told_and_not_the_reason(stop: Event) -> None:
+    failures = {} if stop else dict.fromkeys(range(5, 8), faulty())
+    script = Script({2: Event.APPROACH}, {5: "not now"})
+    done = run_of(script, last=8, failures=failures, operator=lambda reads: stop if reads == 4 else Event.NONE)
+    assert done.refused == ["not now"]
+    assert done.modes[:2] == [Mode.APPROACH, Mode.HALT]
+    assert done.troubles == ([] if stop else [f"{faulty()}; way back: `coop park`"])
+
+
 @pytest.mark.parametrize("bad", [Event.STOP, Event.TROUBLE])
 def test_what_a_session_stops_for_is_its_reason_and_told_with_the_way_back(bad: Event) -> None:
     done = run_of(Script({2: Event.APPROACH, 5: bad}, {5: "no object"}), last=8)
