@@ -155,7 +155,6 @@ class FaultCause(enum.Enum):
     GOAL_IGNORED = "its goal register does not hold what was sent"
     NO_EFFECT = "its current does not follow the goal"
     POSITION_JUMP = "its position moved faster than the joint can"
-    PAIR_APART = "the servos of one joint disagree"
     SILENT = "does not answer"
     GARBLED = "no intact answer comes from it"
     OUTDATED = "no answer of this cycle comes from it"

@@ -1,8 +1,8 @@
 """Slow checks in the gaps of the cycle: torque flags, goals, errors, temperature, voltage, one group read per gap.
 
 The request goes out together with the torque and is not waited for; the answer is picked up when the next cycle begins.
-A gap that is too short is skipped, so a cycle is never lengthened.  What is found is recorded and judged here; the
-driver raises it.
+A gap that is too short is skipped, but not for ever: after some the question goes out all the same, which lengthens
+that cycle and is told.  What is found is recorded and judged here; the driver raises it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ServoSlot
-from drivers.dynamixel.budget import SLOW_EVERY, LinkTiming, gaps_of, group_read_s
+from drivers.dynamixel.budget import SLOW_EVERY, LinkTiming, group_read_s
 from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause, hardware_names
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import GroupRead, Row
@@ -31,6 +31,7 @@ from drivers.dynamixel.servo.thermal import ThermalWatch
 from drivers.dynamixel.servo.units import volts
 
 VOLTAGE_MARGIN_V = 0.5
+SKIPPED_MAX = 4  # gaps in a row; a host whose steps take long would else never ask, and see no servo fail
 WIRE_MARGIN = 1.1  # on the computed time of a question and its answer
 
 
@@ -66,7 +67,6 @@ class ServoRecord:
     sent: int = 0  # last goal sent
     sent_before: int = 0
     goal_doubts: int = 0
-    seen_ns: int = 0  # when its torque flag was last read
     slow_ns: int = 0  # when voltage and temperature were last read; 0: at bring-up
 
 
@@ -104,6 +104,7 @@ class GapMonitor:
         self._turn = 0
         self._owed = False  # to the round: the last gap went to a doubt
         self._rest = False
+        self._skipped = 0  # gaps in a row that were too short
 
         def ask(page: Page, some: Sequence[ServoRecord]) -> list[_Question]:
             size = max(1, per_gap)
@@ -119,11 +120,6 @@ class GapMonitor:
         self._seldom = ask(Page.SLOW, self._records)
 
     @property
-    def round_gaps(self) -> int:
-        """Gaps until every torque flag and goal has been read once."""
-        return gaps_of(len(self._often))
-
-    @property
     def answer_bytes(self) -> int:
         """Most that the answer to a question has."""
         return max(question.read.reply_bytes for question in (*self._often, *self._seldom))
@@ -133,8 +129,12 @@ class GapMonitor:
         """True while a question has no answer."""
         return self._pending is not None
 
-    def question(self, gap_ns: int) -> tuple[bytes, int]:
-        """Request for this gap and how long it occupies the wire; nothing when the gap is too short or one waits."""
+    def question(self, gap_ns: int, *, whole: bool = True) -> tuple[bytes, int]:
+        """Request for this gap and how long it occupies the wire; nothing when one waits, or the gap is too short.
+
+        whole: all servos have answered in this cycle.  After SKIPPED_MAX such gaps that were too short the next one is
+        long enough; where servos are silent that is what takes the time, and it is found out as that.
+        """
         if self._pending is not None:
             return b"", 0
         if self._rest:  # a missed answer may still come, and would be taken for the next one's
@@ -148,7 +148,12 @@ class GapMonitor:
         else:
             question = self._often[(self._turn - self._turn // SLOW_EVERY) % len(self._often)]
         if question.wire_ns > gap_ns:
-            return b"", 0
+            self._skipped += whole
+            if self._skipped <= SKIPPED_MAX or not whole:
+                return b"", 0
+            text = f"a question takes {question.wire_ns * 1e-6:.1f} ms, and the cycle leaves {gap_ns * 1e-6:.1f} ms"
+            self._tell.tell(DriverEvent(EventKind.SLOW_CHECKS, f"{text}: every {SKIPPED_MAX + 1}th waits"), active=True)
+        self._skipped = 0
         self._owed = doubted
         if doubted:
             self._urgent.popleft()
@@ -182,11 +187,10 @@ class GapMonitor:
         if question.page is Page.SLOW:
             self._judge_slow(record, row, now_ns)
         else:
-            self._judge_status(record, row, now_ns)
+            self._judge_status(record, row)
 
-    def _judge_status(self, record: ServoRecord, row: Row, now_ns: int) -> None:
+    def _judge_status(self, record: ServoRecord, row: Row) -> None:
         _, torque, led, hardware, watchdog, goal = row
-        record.seen_ns = now_ns
         record.hardware = HardwareError(hardware) if hardware else NO_ERROR
         if hardware and record.hardware & record.shutdown:
             self._find(FaultCause.HARDWARE_ERROR, record, hardware_names(record.hardware), "no error")

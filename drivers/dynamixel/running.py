@@ -222,10 +222,12 @@ class Running:
             self.hear_health()
         now_ns = self._clock.now_ns()
         gap_ns = cycle_begin_ns + self._arm.period_ns - now_ns - self._write_ns
+        question, question_ns = b"", 0
         if self.grip is not None and (goal := self.grip.packets()):
-            packets, gap_ns = packets + goal, 0  # it takes the place of a question
+            packets += goal  # it takes the place of a question
             self._note(self.grip.servo_id, self.grip.effort)
-        question, question_ns = self.monitor.question(gap_ns)
+        else:
+            question, question_ns = self.monitor.question(gap_ns, whole=None not in self._rows)
         self._wire_free_ns = now_ns + self._write_ns + question_ns
         self._bus.port.write(packets + question, now_ns + self._arm.period_ns)
         return sent

@@ -45,8 +45,8 @@ def truth(rig: Rig) -> list[float]:
     return [joints[joint.name] for joint in rig.arm.controlled]
 
 
-def cycles(rig: Rig, count: int, tau=TAU, *, until=None) -> list[Cycle]:
-    """Run the loop as an agent does; until: stop after an error of this type."""
+def cycles(rig: Rig, count: int, tau=TAU, *, until=None, step_ns: int = 0) -> list[Cycle]:
+    """Run the loop as an agent does; until: stop after an error of this type; step_ns: between read and write."""
     done: list[Cycle] = []
     period_ns = rig.arm.period_ns
     start_ns = rig.clock.now_ns() + period_ns
@@ -59,6 +59,8 @@ def cycles(rig: Rig, count: int, tau=TAU, *, until=None) -> list[Cycle]:
         except (StaleJointsError, DxlServoFault) as caught:
             error = caught
         done.append(Cycle(state, error, rig.clock.now_ns() - begin_ns, truth(rig)))
+        if step_ns:
+            rig.clock.sleep_until(rig.clock.now_ns() + step_ns)
         rig.driver.write(np.asarray(tau))
         if until is not None and isinstance(error, until):
             break
@@ -247,6 +249,19 @@ def test_lost_torque_is_a_fault_within_fifty_milliseconds(servo_id):
     rig.put(servo_id, table.TORQUE_ENABLE, 0)
     done = cycles(rig, 10, 0.0 * TAU, until=DxlServoFault)
     assert (done[-1].error.cause, done[-1].error.servo_id) == (FaultCause.TORQUE_LOST, servo_id)
+
+
+@pytest.mark.parametrize("step_ms", [2.1, 2.5])
+def test_lost_torque_is_found_too_where_the_host_leaves_no_gap_a_question_fits_in(step_ms: float) -> None:
+    """No cycle is late, and no state is missed."""
+    rig = enabled(timing=WIRE)
+    healthy = cycles(rig, 100, 0.0 * TAU, step_ns=round(step_ms * 1e6))
+    assert all(cycle.error is None for cycle in healthy)
+    assert rig.driver.counters.timeouts == rig.driver.counters.late == 0
+    assert rig.kinds().count("SLOW_CHECKS") == 1
+    rig.put(6, table.TORQUE_ENABLE, 0)
+    done = cycles(rig, 40, 0.0 * TAU, until=DxlServoFault, step_ns=round(step_ms * 1e6))
+    assert (done[-1].error.cause, done[-1].error.servo_id) == (FaultCause.TORQUE_LOST, 6)
 
 
 @pytest.mark.parametrize("kind", [FaultKind.OVERLOAD, FaultKind.ELECTRICAL_SHOCK])

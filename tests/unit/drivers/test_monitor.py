@@ -6,11 +6,11 @@ import struct
 
 import pytest
 
-from drivers.dynamixel.budget import LinkTiming, group_read_s
+from drivers.dynamixel.budget import LinkTiming, gaps_of, group_read_s
 from drivers.dynamixel.errors import FaultCause
 from drivers.dynamixel.events import DriverEvent, OncePerServo
 from drivers.dynamixel.line import codec
-from drivers.dynamixel.monitor import GapMonitor, Page, ServoRecord, status_bytes
+from drivers.dynamixel.monitor import SKIPPED_MAX, GapMonitor, Page, ServoRecord, status_bytes
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import HardwareError
 from drivers.dynamixel.servo.thermal import ThermalWatch
@@ -117,7 +117,35 @@ def test_where_a_gap_has_room_for_none_each_is_asked_alone_when_one_has(per_gap:
 
 @pytest.mark.parametrize(("per_gap", "gaps"), [(7, 2), (2, 5), (1, 8)])
 def test_a_round_counts_the_gaps_of_slow_questions(per_gap: int, gaps: int) -> None:
-    assert Bench(per_gap).monitor.round_gaps == gaps
+    assert gaps_of(-(-len(WX200.slots) // per_gap)) == gaps
+
+
+def test_gaps_that_are_too_short_do_not_silence_the_checks_for_ever_and_are_told_once() -> None:
+    bench = Bench()
+    (wire_ns,) = {bench.monitor.question(AMPLE_NS)[1]}
+    bench.monitor.answer(b"", 0, final=True)
+    assert bench.ask() is None, "the answer that was missed may come yet"
+    asked = [bench.ask(wire_ns - 1) for _ in range(SKIPPED_MAX + 1)]
+    assert asked == [None] * SKIPPED_MAX + [(Page.STATUS, (3, 4))]
+    (told,) = bench.events
+    wire_ms, left_ms = (f"{ns * 1e-6:.1f} ms" for ns in (wire_ns, wire_ns - 1))
+    assert told.text == f"a question takes {wire_ms}, and the cycle leaves {left_ms}: every 5th waits"
+    bench.monitor.answer(bench.reply((3, 4), HEALTHY, HEALTHY), 0, final=True)
+    asked = [bench.ask(gap_ns) for gap_ns in [wire_ns - 1] * SKIPPED_MAX + [wire_ns]]
+    assert asked == [None] * SKIPPED_MAX + [(Page.STATUS, (5, 6))]
+    bench.monitor.answer(bench.reply((5, 6), HEALTHY, HEALTHY), 0, final=True)
+    assert [bench.ask(-wire_ns) for _ in range(SKIPPED_MAX)] == [None] * SKIPPED_MAX, "one that fits counts anew"
+    assert bench.monitor.question(-wire_ns, whole=False)[0] == b"", "a bus that is silent has no time to spare"
+    assert bench.ask(-wire_ns) == (Page.STATUS, (7,))
+    assert len(bench.events) == 1
+
+
+def test_cycles_in_which_servos_are_silent_count_for_nothing() -> None:
+    bench = Bench()
+    for _ in range(3 * SKIPPED_MAX):
+        assert bench.monitor.question(0, whole=False) == (b"", 0)
+    assert [bench.ask(0) for _ in range(SKIPPED_MAX)] == [None] * SKIPPED_MAX
+    assert bench.ask(0) == (Page.STATUS, (1, 2))
 
 
 @pytest.mark.parametrize("fast", [False, True])
@@ -258,13 +286,11 @@ def test_faults_of_different_servos_and_causes_are_all_kept() -> None:
     assert bench.causes() == [("TORQUE_LOST", 1), ("TORQUE_LOST", 2), ("WATCHDOG_TRIPPED", 1)]
 
 
-def test_a_healthy_status_is_remembered_with_its_time() -> None:
+def test_a_healthy_status_is_no_fault() -> None:
     bench = Bench()
     bench.tell(2, *HEALTHY)
     assert bench.causes() == []
     assert bench.events == []
-    assert bench.records[1].seen_ns == bench.now_ns == 5_000_000
-    assert bench.records[2].seen_ns == 0
 
 
 @pytest.mark.parametrize("error", [1, 7, 0x40, 0x80])

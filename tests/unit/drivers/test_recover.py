@@ -182,7 +182,7 @@ def test_a_servo_whose_watchdog_has_fired_is_not_told_of_as_one_without_effect_t
     rig = working()
     rig.put(4, table.BUS_WATCHDOG, WATCHDOG_TRIPPED)
     rig.servo(4).firmware.body.drive.stop = Stop.LIMP
-    checked, rig.driver._running.monitor.question = rig.driver._running.monitor.question, lambda _: (b"", 0)
+    checked, rig.driver._running.monitor.question = rig.driver._running.monitor.question, lambda _, **__: (b"", 0)
     for number in range(40):
         if number == seen_after:
             rig.driver._running.monitor.question = checked

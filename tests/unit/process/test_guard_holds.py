@@ -30,8 +30,8 @@ CELL = load_cell(Path("two_wx200"))
 def made(folder: Path) -> Successor:
     arm = CELL.arm("left")
     options = AgentOptions(
-        "left", DriverKind.DYNAMIXEL, Connection(), ring=folder / "left.ring", control=folder / "left.control", lockstep=False,
-        hold=True,
+        "left", DriverKind.DYNAMIXEL, Connection(), ring=folder / "left.ring", control=folder / "left.control",
+        lockstep=False, hold=True,
     )  # fmt: skip
     given = GuardOptions(options, Path(), folder / "guard", folder)
     return Successor(CELL, arm, build_agent(CELL, arm), given, StopFlag(), Notifier(""))
