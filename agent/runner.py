@@ -93,6 +93,7 @@ class Runner:
         self._mode = self._next(happened)
         if self._schedule.lockstep and not self._schedule.ready_ns:
             self._mode = next_mode(self._mode, Event.STARTED)
+            self._around.mode_changed(self._mode)
         while self._mode in _COMMANDING and not self._ticks.over():
             deadline_ns = self._ticks.deadline_ns
             self._clock.sleep_until(deadline_ns)

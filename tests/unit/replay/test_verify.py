@@ -136,7 +136,7 @@ def test_every_law_replays_with_a_hold_in_it_and_from_its_middle(tmp_path: Path,
 
     cell = load_cell(WX200, overrides)
     done = run_one(cell, 1.2, operator)
-    assert done.modes == [Mode.HOLD]
+    assert done.modes == [Mode.TRACK, Mode.HOLD]
     verdict = replayed(tmp_path, done.rows, cell)
     assert (verdict.rows, verdict.equal) == (len(done.rows), True)
     for begin in (1, 77, 150, 151, 200):
