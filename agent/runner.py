@@ -65,8 +65,7 @@ class Runner:
         self._outcome: Outcome | None = None  # of the last tick with a fresh state
         self._mode = Mode.OFF
         self._reason, self._untaken = "", ""  # of a hold or a fault; of a torque that the bus did not take
-        self._rows = 0
-        self._late_cycles, self._stale_cycles = 0, 0
+        self._rows, self._late_cycles, self._stale_cycles = 0, 0, 0
         self._marks = Flag.NONE  # of the next row
         begin_ns = clock.now_ns()
         self._ticks = Ticks(schedule, begin_ns)
@@ -140,8 +139,7 @@ class Runner:
         if not schedule.lockstep:
             happened |= self._skip(deadline_ns, good=state is not None and not late)
         if self._session is not None:
-            seen = cycles.without_state(deadline_ns) <= schedule.patience.hold
-            happened = self._judged(self._session, happened, seen=seen)
+            happened = self._judged(self._session, happened, cycles.without_state(deadline_ns))
         if happened:
             self._change_mode(happened, state)
 
@@ -154,8 +152,9 @@ class Runner:
     def _may_start(self) -> bool:
         return self._session is None or self._session.taken_up(self._mode, self._memory)
 
-    def _judged(self, session: SessionLoop, happened: Event, *, seen: bool) -> Event:
+    def _judged(self, session: SessionLoop, happened: Event, without_state: int) -> Event:
         """What counts of what happened, with what the arm found out by itself; a refused word is told."""
+        seen = without_state <= self._schedule.patience.hold
         judged = session.judge(self._mode, happened, self._memory, seen=seen)
         said, session.reason = session.reason, ""
         if said and judged & ~happened & (Event.TROUBLE | Event.STOP):

@@ -159,7 +159,7 @@ def margins(run: Prepared) -> Figure:
         line(axes[0], t, np.where(sigma > 0.0, sigma, np.nan), label=arm.name, **_look(number))
         load = np.abs(joint_columns(rows, "tau_sent", len(arm.joints))) / np.array(arm.tau_max_Nm)
         line(axes[1], t, 100.0 * np.max(load, axis=1), label=arm.name, **_look(number))
-    axes[0].set(ylabel="smallest σ [1]", title="Distance from a singular pose")
+    axes[0].set(ylabel="least σ, bound [1]", title="Distance from a singular pose")
     axes[0].set_ylim(bottom=0.0)
     axes[1].set(ylabel="of the limit [%]", title="Torque of the most loaded joint")
     axes[1].set_ylim(bottom=0.0)

@@ -274,7 +274,7 @@ def _states(results: Results) -> Table:
         "flags raised on ticks",
         "e_η start → end",
         "Lyapunov start → end",
-        "smallest σ",
+        "least bound of σ",
         "velocity error rms",
     )
     rows = tuple(

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
-from agent.control import ik
+from agent.control import ik, joint_hold
 from agent.control.models import ArmModel
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.interface import Vector
@@ -67,7 +67,7 @@ def _follows(cell: Cell, model: ArmModel, q: Vector, part: float) -> bool:
             return False
         if (reached < lower).any() or (reached > upper).any():
             return False
-        if float(np.linalg.svd(model.jacobian(reached), compute_uv=False)[-1]) < cell.file.safety.sigma_min:
+        if joint_hold.sigma_min(model, reached) < cell.file.safety.sigma_min:
             return False
     return True
 

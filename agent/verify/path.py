@@ -24,7 +24,7 @@ class Path:
     """One arm along the trajectory."""
 
     q: list[Vector]
-    sigma_min: float
+    sigma_min: float  # as the agent sees it: a lower bound of the smallest singular value
     sigma_min_t: float
     tau_peak: Vector
     tau_rms: Vector  # (n,) N·m
@@ -79,13 +79,12 @@ def along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, ins
         desired = trajectory.at(t)
         q = reach(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
         qs.append(q)
-        J = model.jacobian(q)
-        s = float(np.linalg.svd(J, compute_uv=False)[-1])
-        if s < sigma:
-            sigma, sigma_t = s, t
-        dq = pseudo_inverse(J) @ (model.task_basis @ np.array(desired.v))
+        dq = pseudo_inverse(model.jacobian(q)) @ (model.task_basis @ np.array(desired.v))
         try:
-            tau = known.torque(model, offline, q, dq, desired).tau_cmd
+            terms = known.torque(model, offline, q, dq, desired)
+            tau = terms.tau_cmd
+            if terms.sigma_min < sigma:
+                sigma, sigma_t = terms.sigma_min, t
             tau_peak = np.maximum(tau_peak, np.abs(tau))
             tau_squares.append(tau * tau)
             seconds.append(t)
@@ -108,7 +107,7 @@ def arm_findings(cell: Cell, arm: Arm, path: Path) -> list[Finding]:
     safety = cell.file.safety
     findings = [
         judged(
-            "smallest singular value of J", arm.name, f"{path.sigma_min:.4f} at t = {path.sigma_min_t:.2f} s",
+            "smallest singular value of J", arm.name, f"at least {path.sigma_min:.4f} at t = {path.sigma_min_t:.2f} s",
             f"≥ {safety.sigma_min:g}", holds=path.sigma_min >= safety.sigma_min,
             remedy="stay away from stretched or folded poses",
         )

@@ -40,7 +40,7 @@ class Safety(Strict):
     e_eta_min: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
     """Smallest |e_η| at the start: below it the attitude error is near half a turn, where the law has no direction."""
     sigma_min: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
-    """Smallest singular value of an arm's task Jacobian that a path may have; the agent holds below it."""
+    """Least 1/‖J⁻¹‖ of an arm's task Jacobian, a bound of its smallest singular value; the agent holds below it."""
     tau_step_max_fraction: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5
     """Torque change from one tick to the next, of the torque bound."""
     tau_max_fraction_of_stall: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
