@@ -32,8 +32,8 @@ PULLED: Final = (
     "Friction hides less of each where the joints are quick: divided by that slip. Dotted: beyond it the arm holds."
 )
 MARGINS: Final = (
-    "Above: a lower bound, 1/‖J⁻¹‖, of the smallest singular value of the object Jacobian; at zero the arm cannot act in "
-    "some direction. Below: the torque sent to the most loaded joint, as a part of its limit."
+    "Above: a lower bound, 1/‖J⁻¹‖, of the smallest singular value of the object Jacobian; at zero the arm cannot act "
+    "in some direction. Below: the torque sent to the most loaded joint, as a part of its limit."
 )
 SERVOS: Final = (
     "What each servo says of itself about once a second: temperature, supply, and load as a share of stall. Dashed: "

@@ -43,7 +43,7 @@ def test_the_anchor_follows_nothing_and_without_alignment_nobody_does() -> None:
 
 
 def test_limits_beyond_reach_are_refused_where_servos_move_the_arms_with_those_that_are_not() -> None:
-    wide = ("controller.alignment.max_rad=0.5", "safety.sigma_min=0.07", "controller.alignment.max_m=0.1")
+    wide = ("controller.alignment.max_rad=0.5", "safety.sigma_min=0.06", "controller.alignment.max_m=0.1")
     cell = gentle("paper", *wide, *SERVOS)
     with pytest.raises(
         ConfigError, match=r"limits of the alignment \(right\): found out of reach at t = .*set max_m = "
@@ -54,7 +54,7 @@ def test_limits_beyond_reach_are_refused_where_servos_move_the_arms_with_those_t
     assert warned.verdict is Verdict.WARNING
     max_m, max_rad = warned.remedy.removeprefix("set max_m = ").split(" and max_rad = ")
     assert 0.0 < float(max_m) < 0.1
-    narrow = (f"controller.alignment.max_m={max_m}", f"controller.alignment.max_rad={max_rad}", "safety.sigma_min=0.07")
+    narrow = (f"controller.alignment.max_m={max_m}", f"controller.alignment.max_rad={max_rad}", "safety.sigma_min=0.06")
     assert limits(gentle("paper", *narrow))[0].verdict is Verdict.OK
 
 
