@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from agent.log.columns import Table
 from agent.telemetry.row.event import Event
 
 SAME_CLOCK_NS: Final = 5_000_000_000  # stamps whose UTC is further apart are of different clocks
+SECOND_NS: Final = 1_000_000_000
 STARTED_S: Final = -43_200.0  # rows of an arm that nobody has started count towards a start a day ahead
 
 
@@ -38,12 +39,14 @@ def on_time_of(plant: Table, arms: Iterable[Table]) -> Table:
 
     The plant begins before that zero: by `simulation.ready_s` in lockstep, by the wait for a start in real time.  Each
     of its rows takes the zero that an arm's row had then, by the clock of the stamps, or by UTC where the stamps are of
-    different clocks; in lockstep rows of one stamp have the very same `t`.  NaN where no arm's rows are of its time.
+    different clocks; in lockstep rows of one tick have the very same `t`.  NaN where no arm's rows are of its time.
     """
     stamp_ns, utc_ns = plant["stamp_ns"], plant["utc_ns"]
     used = [rows for rows in arms if len(rows)]
     if not len(plant) or not used:
         return plant.with_column("t", np.full(len(plant), math.nan))
+    if in_lockstep([plant, *used]):
+        return plant.with_column("t", _since_zero(stamp_ns + _skew_ns(plant, used[0]), used[0], "stamp_ns"))
     for rows in used:
         if _ahead_ns(plant, rows) <= SAME_CLOCK_NS:
             return plant.with_column("t", _since_zero(stamp_ns, rows, "stamp_ns"))
@@ -52,6 +55,34 @@ def on_time_of(plant: Table, arms: Iterable[Table]) -> Table:
             if _beside(own_ns, rows[clock]):
                 return plant.with_column("t", _since_zero(own_ns, rows, clock))
     return plant.with_column("t", np.full(len(plant), math.nan))
+
+
+def in_lockstep(members: Iterable[Table]) -> bool:
+    """Whether simulated time waited for all of them, so that rows of one sequence number are of one tick.
+
+    Their clocks begin at a whole second of UTC then, and may differ by what the simulation makes them differ.
+    """
+    return all(len(rows) > 0 and not ((rows["utc_ns"] - rows["stamp_ns"]) % SECOND_NS).any() for rows in members)
+
+
+def by_one_clock(arms: Mapping[str, Table]) -> dict[str, Table]:
+    """The rows of arms in lockstep with `t` as the first of them counts it; of others as they are."""
+    used = [rows for rows in arms.values() if len(rows)]
+    if not in_lockstep(used):
+        return dict(arms)
+    skews_ns = {name: _skew_ns(rows, used[0]) if len(rows) else 0 for name, rows in arms.items()}
+    return {
+        name: rows if not skews_ns[name] else rows.with_column(
+            "t", _since_zero(rows["stamp_ns"] + skews_ns[name], used[0], "stamp_ns")
+        )
+        for name, rows in arms.items()
+    }  # fmt: skip
+
+
+def _skew_ns(one: Table, other: Table) -> int:
+    """By how much the stamps of `other` are ahead of those of `one` at the same ticks; 0 where they share none."""
+    _, here, there = np.intersect1d(one["sequence"], other["sequence"], return_indices=True)
+    return round(float(np.median(other["stamp_ns"][there] - one["stamp_ns"][here]))) if len(here) else 0
 
 
 def _beside(one_ns: NDArray[np.int64], other_ns: NDArray[np.int64]) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.log.columns import Table
 from agent.log.runinfo import RunArm, RunInfo, read_info
-from agent.log.when import on_time_of
+from agent.log.when import by_one_clock, on_time_of
 from agent.report.series import (
     Array,
     PoseSeries,
@@ -72,7 +72,9 @@ def prepare(log: AnyLog) -> Prepared:
     info = read_info(log)
     missing = [*info.notes, *log.problems, *_mended(log), *_parted(log), *_losses(log), *_strangers(log)]
     described = [arm.name for arm in info.arms]
-    whole = {name: Table.of(log.agents[name]) for name in described if len(log.agents.get(name, ()))}
+    in_order = sorted(log.agents, key=lambda name: described.index(name) if name in described else len(described))
+    tables = by_one_clock({name: Table.of(log.agents[name]) for name in in_order})
+    whole = {name: tables[name] for name in described if len(tables.get(name, ()))}
     rows = {name: own for name, every in whole.items() if len(own := in_run(every, info))}
     missing += [_without_motion(log, name, whole) for name in described if name not in rows]
     stale = {name: is_stale(own) for name, own in rows.items()}
@@ -83,7 +85,7 @@ def prepare(log: AnyLog) -> Prepared:
     if log.plant is None or not len(log.plant):
         missing.append("no simulation in the log: no true object pose, realised internal force or realised load share")
     else:
-        plant = in_run(on_time_of(Table.of(log.plant), map(Table.of, log.agents.values())), info)
+        plant = in_run(on_time_of(Table.of(log.plant), tables.values()), info)
         true, note = pose_by_plant(seen, plant, 1.0 / info.rate_hz)
         missing += [note] if note else []
         grasps = _grasp_forces(plant, info, missing)

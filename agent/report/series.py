@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.log.unshifted import unshifted
-from agent.log.when import SAME_CLOCK_NS
+from agent.log.when import SAME_CLOCK_NS, in_lockstep
 from agent.modes import Mode
 from agent.safety import Flag
 
@@ -142,11 +142,12 @@ def pose_by_arm(name: str, rows: Table) -> PoseSeries:
 def pose_by_plant(arms: Mapping[str, Table], plant: Table, period_s: float) -> tuple[PoseSeries | None, str]:
     """The true pose against the desired one of the same tick, and a note for the reader, empty when all is well.
 
-    `arms`: rows by arm.  Rows are matched by sequence number, unless the time stamps of one tell that plant and arm
-    count from different instants, or that an arm has missed cycles; then by the stamps, or by UTC where the stamps are
-    of different clocks.
+    `arms`: rows by arm.  Rows are matched by sequence number in lockstep, and unless the time stamps of one tell that
+    plant and arm count from different instants, or that an arm has missed cycles; then by the stamps, or by UTC where
+    the stamps are of different clocks.
     """
     half_ns = round(0.5e9 * period_s)
+    in_step = in_lockstep([plant, *(rows for rows in arms.values() if len(rows))])
     for clock, tolerance, witness, allowed_ns, judged in (
         ("sequence", 0, "stamp_ns", half_ns, np.max),
         ("stamp_ns", half_ns, "utc_ns", SAME_CLOCK_NS, np.median),
@@ -158,7 +159,7 @@ def pose_by_plant(arms: Mapping[str, Table], plant: Table, period_s: float) -> t
         apart_ns = [
             plant[witness][i >= 0] - rows[witness][i[i >= 0]] for rows, i in zip(arms.values(), at, strict=True)
         ]
-        if judged(np.abs(np.concatenate(apart_ns))) > allowed_ns:
+        if not in_step and judged(np.abs(np.concatenate(apart_ns))) > allowed_ns:
             continue
         held: NDArray[np.bool_] = np.any([i >= 0 for i in at], axis=0)
         note = f"plant rows are matched by {clock}: their sequence numbers are of other instants than the arms'"

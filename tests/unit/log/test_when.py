@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.log.columns import Table
-from agent.log.when import on_time_of
+from agent.log.when import by_one_clock, in_lockstep, on_time_of
 from tests.support.telemetry.synthetic_run import agent_rows, plant_rows
 
 TICKS, RATE_HZ, READY_S = 400, 20.0, 1.0
@@ -66,3 +66,33 @@ def test_a_time_that_nobody_can_tell_is_none() -> None:
     plant["stamp_ns"] += 10**14
     assert np.isnan(counted(plant, arm)).all()
     assert np.isnan(counted(plant)).all()
+
+
+def in_step(skew_ns: int, *, whole_second: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """The same in lockstep, where the arm's clock is ahead of the plant's by what a reality says."""
+    arm, plant = rows()
+    arm["stamp_ns"] += skew_ns
+    arm["t"] += skew_ns * 1e-9
+    for one in (arm, plant):
+        one["utc_ns"] = one["stamp_ns"] + 5_000_000_000 + (not whole_second)
+    return arm, plant
+
+
+@pytest.mark.parametrize("skew_ns", [0, 2_400_000, 3_537_705, -60_000_000])
+def test_in_lockstep_a_tick_has_the_time_of_the_first_arm_however_its_clock_is_ahead(skew_ns: int) -> None:
+    arm, plant = in_step(skew_ns)
+    assert in_lockstep([Table.of(arm), Table.of(plant)])
+    every_fourth = plant[::4]
+    assert counted(every_fourth, arm[3:-7]) == pytest.approx(arm["t"][::4], abs=1e-9)
+
+
+def test_arms_in_lockstep_are_brought_to_one_clock_by_their_ticks_and_others_are_left_alone() -> None:
+    (left, _), (right, plant) = in_step(3_500_000), in_step(-1_000_000)
+    both = by_one_clock({"left": Table.of(left), "right": Table.of(right[5:])})
+    assert both["left"]["t"].tobytes() == left["t"].tobytes()
+    assert both["right"]["t"] == pytest.approx(left["t"][5:], abs=1e-9)
+    apart = [in_step(skew_ns, whole_second=False)[0] for skew_ns in (3_500_000, -1_000_000)]
+    assert not in_lockstep([Table.of(plant), Table.of(apart[0])])
+    alone = by_one_clock({"left": Table.of(apart[0]), "right": Table.of(apart[1])})
+    assert alone["right"]["t"].tobytes() == apart[1]["t"].tobytes()
+    assert not in_lockstep([Table.of(left), Table.of(left[:0])]), "nobody knows of who says nothing"

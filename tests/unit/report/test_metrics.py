@@ -157,6 +157,24 @@ def test_plant_that_began_before_the_trajectory_is_matched_by_a_common_clock(com
     assert any(f"matched by {common}" in text for text in results.missing)
 
 
+def test_arms_whose_clocks_are_skewed_in_lockstep_are_matched_by_tick_and_share_their_windows() -> None:
+    """As a study does it: each pose against what the first arm wants at that tick."""
+    log = small_run()
+    for name, skew_ns in (("left", 3_500_000), ("right", -4_000_000)):
+        rows = log.agents[name]
+        rows["p_object_des"][:, 0] = 0.01 * np.arange(TICKS)
+        rows["stamp_ns"] += skew_ns
+        rows["t"] += 1e-9 * skew_ns
+    log.plant["p_object"][:, 0] = 0.01 * np.arange(TICKS)
+    for rows in (*log.agents.values(), log.plant):
+        rows["utc_ns"] = rows["stamp_ns"] + 7_000_000_000
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == 0.0
+    assert not any("matched by" in text for text in results.missing)
+    ticks = {found.rows for found in (results.by_plant, *results.by_arm.values())}
+    assert len(ticks) == 1, "of all the same"
+
+
 @pytest.mark.parametrize("arm", ["left", "right"])
 def test_an_arm_that_missed_cycles_is_matched_by_its_clock(arm: str) -> None:
     """Its rows are numbered one after the other, so that from the first cycle that it missed on they are of others."""
