@@ -123,12 +123,13 @@ def _chosen(log: ColumnLog, choice: Choice) -> dict[str, Table]:
 
 
 def _fields(log: ColumnLog, member: str, choice: Choice) -> list[Field]:
-    """The wanted fields that the rows of this member have."""
+    """The wanted fields that the rows of this member have, and the time of the rows before them."""
     own = log.layouts[member].fields
     if not choice.fields:
         return [f for f in own if f.name not in INTERNAL]
     known = {f.name: f for f in own}
-    return [known[name] for name in choice.fields if name in known]
+    wanted = [known[name] for name in choice.fields if name in known]
+    return wanted if not wanted or "t" in choice.fields else [known["t"], *wanted]
 
 
 def _refuse_unknown(log: ColumnLog, members: Iterable[str], choice: Choice) -> None:

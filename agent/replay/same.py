@@ -11,7 +11,7 @@ from agent.log.columns import BLOCK_ROWS, Table
 from agent.log.read import ColumnLog
 from agent.log.run import members_of
 from agent.replay.source import ReplayError
-from agent.replay.verify import ArmComparison, Comparison, Difference
+from agent.replay.verify import TORQUES, ArmComparison, Comparison, Difference
 from agent.telemetry.row.sample import Layout
 
 
@@ -50,8 +50,8 @@ def _of_member(name: str, a: Table, b: Table, layout: Layout) -> ArmComparison:
     for one, other in _pairs(a[i], b[j], layout):
         apart = _bytes_differ(one, other, fields)
         different += int(np.count_nonzero(apart))
-        if "tau_limited" in fields:
-            mine, theirs = one["tau_limited"], other["tau_limited"]
+        for torque in TORQUES.intersection(fields):
+            mine, theirs = one[torque], other[torque]
             with np.errstate(invalid="ignore", over="ignore"):  # of runs that went astray
                 gap = np.abs(mine - theirs)
             largest = max(largest, float(np.nanmax(gap, initial=0.0)))

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from agent.config.agent import build_agent
 from agent.config.cell import Cell
 from agent.log.columns import Table
 from agent.log.read import ColumnLog
-from agent.loop import Agent, Outcome
+from agent.loop import Agent
 from agent.modes import Mode, mode_of
 from agent.replay.chain import Chain
 from agent.replay.rows import Readable, Window, arms_of, blocks
@@ -44,6 +45,9 @@ class Difference:
     fields: tuple[str, ...]  # all that differ in that row
 
 
+TORQUES: Final = frozenset({"tau_cmd", "tau_limited"})  # of which the largest difference is told
+
+
 @dataclass(frozen=True, slots=True)
 class ArmComparison:
     """One arm's rows against the same rows computed again."""
@@ -53,7 +57,7 @@ class ArmComparison:
     different: int
     left_out: int  # in the window, but without a memory to begin with
     first: Difference | None
-    torque_difference_Nm: float  # largest, of tau_limited
+    torque_difference_Nm: float  # largest, of what the law asks for and of what the limits leave of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +172,7 @@ class _Verifier:
             at = i * size
             same = all(bytes(self._bytes[a:b]) == data[at + a : at + b] for a, b in self._spans)
             if not same or t_expected[i] != times[i]:
-                self._compare(rows, i, outcome, t_expected[i])
+                self._compare(rows, i, t_expected[i])
 
     def _lost(self, state: JointState) -> JointState:
         """What the row of a cycle without a state says of the joints."""
@@ -187,12 +191,13 @@ class _Verifier:
         self._next = sequence + 1
         return True
 
-    def _compare(self, rows: Rows, i: int, outcome: Outcome, t_expected: float) -> None:
+    def _compare(self, rows: Rows, i: int, t_expected: float) -> None:
         """Note which fields of a row differ; the next row then begins with what it has recorded itself."""
         recorded, replayed, n = rows[i], self._message[0], self._agent.model.n
         fields = [name for name in self._compared if not _same(recorded[name], replayed[name])]
-        apart = np.abs(recorded["tau_limited"][:n] - outcome.tau)
-        self._largest_Nm = max(self._largest_Nm, float(np.nanmax(apart, initial=0.0)))
+        for name in TORQUES.intersection(fields):
+            apart = np.abs(recorded[name][:n] - replayed[name][:n])
+            self._largest_Nm = max(self._largest_Nm, float(np.nanmax(apart, initial=0.0)))
         if t_expected != float(recorded["t"]):
             self._differs(rows, i, ("t", *fields), t_expected)
         else:

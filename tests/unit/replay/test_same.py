@@ -44,7 +44,7 @@ def test_an_arm_that_only_one_log_has_is_named_and_its_rows_are_left_out() -> No
 def test_the_largest_difference_of_torque_is_told_with_the_first_row() -> None:
     a, b = rows(BLOCK_ROWS + 30), rows(BLOCK_ROWS + 30)
     b["tau_limited"][7, 1] += 0.25
-    b["tau_limited"][11, 0] -= 2.0
+    b["tau_cmd"][11, 0] -= 2.0
     b["tau_limited"][BLOCK_ROWS + 5, 2] += 0.5
     (arm,) = same(log("a.mcap", left=a), log("b.mcap", left=b)).arms
     assert (arm.rows, arm.different, arm.left_out) == (BLOCK_ROWS + 30, 3, 0)

@@ -252,16 +252,17 @@ def test_a_change_of_the_first_memory_is_found_because_a_run_begins_with_nothing
     )
 
 
-def test_the_difference_says_both_values_and_how_much_torque_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize("field", ["tau_cmd", "tau_limited"])
+def test_the_difference_says_both_values_and_how_much_torque_it_is(tmp_path: Path, field: str) -> None:
     rows = eventful().copy()
-    rows["tau_limited"][30, 1] += 0.25
+    rows[field][30, 1] += 0.25
     verdict = replayed(tmp_path, rows)
     found = verdict.first
     assert found is not None
-    assert (found.row, found.field, found.index, found.t_s) == (30, "tau_limited", 1, rows["t"][30])
-    assert found.recorded == rows["tau_limited"][30, 1]
-    assert found.replayed == eventful()["tau_limited"][30, 1]
-    assert found.fields == ("tau_limited",)
+    assert (found.row, found.field, found.index, found.t_s) == (30, field, 1, rows["t"][30])
+    assert found.recorded == rows[field][30, 1]
+    assert found.replayed == eventful()[field][30, 1]
+    assert found.fields == (field,)
     assert verdict.arms[0].torque_difference_Nm == pytest.approx(0.25)
 
 
