@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from agent.config.tables import tables
+from agent.config.tables import says, tables
 from drivers.interface import Refusal
 
 _HEADER = re.compile(r"\s*\[\[?\s*(?P<name>[A-Za-z0-9_.-]+)\s*\]?\]\s*(#.*)?$")
@@ -45,7 +45,7 @@ def apply(text: str, changes: Sequence[Change]) -> str:
     for change in changes:
         _table(wanted, change)[change.key] = tomllib.loads(f"value = {change.toml}")["value"]
     try:
-        same = tables(edited) == wanted
+        same = says(edited, wanted)
     except tomllib.TOMLDecodeError:  # the table is there, inline or by dotted keys
         same = False
     if not same:

@@ -10,7 +10,7 @@ import tomli_w
 
 from agent.config.edit import Change, EditError, apply
 from agent.config.reading import override
-from agent.config.tables import tables
+from agent.config.tables import says, tables
 
 
 def rewritten(text: str, overrides: Sequence[str]) -> str:
@@ -37,7 +37,7 @@ def _edited(text: str, wanted: dict[str, Any], path: Sequence[str]) -> Iterator[
                 edited = apply(text.rstrip("\n") + "\n" + room, [change])
             except (EditError, tomllib.TOMLDecodeError):
                 continue
-            if tables(edited) == wanted:
+            if says(edited, wanted):
                 yield edited
 
 

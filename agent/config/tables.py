@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from copy import deepcopy
 from functools import lru_cache
 from typing import Any, Final
 
@@ -12,7 +11,19 @@ LARGEST_REMEMBERED: Final = 100_000  # characters
 
 def tables(text: str) -> dict[str, Any]:
     """The document, whose receiver may change it.  Raises as `tomllib.loads`: ValueError, RecursionError."""
-    return deepcopy(_remembered(text)) if len(text) <= LARGEST_REMEMBERED else tomllib.loads(text)
+    return _copied(_remembered(text)) if len(text) <= LARGEST_REMEMBERED else tomllib.loads(text)
+
+
+def says(text: str, document: dict[str, Any]) -> bool:
+    """Whether this is the document of the text.  Raises as `tables`."""
+    return (_remembered(text) if len(text) <= LARGEST_REMEMBERED else tomllib.loads(text)) == document
+
+
+def _copied(node: Any) -> Any:
+    """Tables and arrays anew; nothing else that TOML knows can be changed."""
+    if isinstance(node, dict):
+        return {key: _copied(each) for key, each in node.items()}
+    return [_copied(each) for each in node] if isinstance(node, list) else node
 
 
 @lru_cache(maxsize=32)  # a cell, its arms' files and some changes of them

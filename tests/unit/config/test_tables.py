@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from agent.config import tables as module
-from agent.config.tables import LARGEST_REMEMBERED, tables
+from agent.config.tables import LARGEST_REMEMBERED, says, tables
 
 TEXT = 'a = 1\n[table]\nlist = [{ name = "x" }, 2.5]\n'
 
@@ -16,6 +16,7 @@ def test_what_a_reader_changes_is_not_seen_by_the_next() -> None:
     first = tables(TEXT)
     assert first == tomllib.loads(TEXT)
     first["table"]["list"][0]["name"] = "y"
+    first["table"]["list"].append(3)
     first["a"] = 2
     assert tables(TEXT) == tomllib.loads(TEXT)
 
@@ -25,6 +26,14 @@ def test_a_text_is_parsed_once() -> None:
     for _ in range(3):
         tables(TEXT)
     assert module._remembered.cache_info().misses == 1
+
+
+def test_a_text_says_its_own_document_and_no_other() -> None:
+    for text in (TEXT, TEXT + "#" * LARGEST_REMEMBERED):
+        assert says(text, tomllib.loads(TEXT))
+        assert not says(text, tables("a = 1"))
+        with pytest.raises(tomllib.TOMLDecodeError):
+            says(text + "\na = 2\na = 3\n=", {})
 
 
 def test_a_long_text_is_not_kept() -> None:
