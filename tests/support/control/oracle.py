@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
 
+from agent.control.models import ArmModel
 from agent.control.trajectory import Desired
 from drivers.interface import Vector
 from tests.support.control.strategies import Holder, RandomCell
@@ -32,7 +34,7 @@ def rate_at(f: Callable[[float], Vector], t: float, h: float = 1e-4) -> Vector:
 
 def skew(a: Vector) -> Vector:
     """S(a) (3, 3)."""
-    x, y, z = a
+    x, y, z = a.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
@@ -61,10 +63,15 @@ class TaskSpace:
     g: Vector  # g_i
 
 
+@lru_cache(maxsize=8)  # arms of a cell, at every stage of an integrator
+def _scratch(model: ArmModel) -> pin.Data:
+    return model.model.createData()
+
+
 def task_space(arm: Holder, q: Vector, dq: Vector, P: Vector) -> TaskSpace:
     """The arm's quantities at (q, dq), each (n,), in the rows of P (m, 6)."""
     model = arm.model.model
-    data = model.createData()
+    data = _scratch(arm.model)
     pin.computeJointJacobiansTimeVariation(model, data, q, dq)
     pin.updateFramePlacements(model, data)
     ee = arm.model.ee_id
