@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from agent.config.cell import Cell
-from agent.config.monitors import bounds
 from agent.config.schema.reality import Reality
 from agent.modes import Event
 from agent.monitors.bounds import Bounds, Name
@@ -82,9 +81,9 @@ def watched(
     lab = Laboratory(own)
     run = Run(lab, reality) if believed is None else _run_of(lab, cell, reality)
     seen = Watched(places=run.places)
-    for arm, place in zip(own.arms, run.places, strict=True):
+    for arm, place, usual in zip(own.arms, run.places, lab.bounds, strict=True):
         lie, place.watch = (lies or {}).get(arm.name), None
-        setattr(place, "cycle", _Watching(place, Watch(changed(bounds(own, arm))), seen, lie))  # noqa: B010
+        setattr(place, "cycle", _Watching(place, Watch(changed(usual)), seen, lie))  # noqa: B010
     while run.t < duration_s and not (until_trip and seen.first):
         run.advance()
         if see is not None:
