@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -21,6 +22,7 @@ OBSERVER = tuple(f"controller.observer.{key}={value}" for key, value in Observer
 FIRST = {3: (150.0, 100.0, 2.5, 2.5), 6: (100.0, 100.0, 10.0, 0.3)}  # of the paper, and of the first six-joint cells
 
 
+@cache  # nobody changes a cell, and a dozen tests ask for the same
 def cell_of(name: str, *overrides: str) -> Cell:
     """A shipped cell; its arms align themselves where an override says how."""
     aligned = any(change.startswith("controller.alignment.") for change in overrides)
