@@ -30,6 +30,7 @@ import drivers
 import sim_backend
 from agent.atomic import WriteError
 from agent.config.cell import load_cell
+from agent.config.once import once_per_cell
 from agent.config.reality import draw, reality_of
 from agent.study import work
 from agent.study.fault import Fault, FaultKind
@@ -42,6 +43,7 @@ from agent.study.store import RUNS_FILE, Store, StudyError
 from agent.study.study import RESULTS, Work, _row, run_study
 from agent.study.summary import ENOUGH_RUNS, _spearman, counting, errors_of, influences, judged, summary, verdict, worst
 from agent.study.work import ATTEMPTS, here, in_processes, until
+from agent.verify.check import examine
 from drivers.interface import Refusal
 from tests.support.command import coop
 from tests.support.few import few
@@ -69,6 +71,14 @@ class Told:
 
     def advance(self, result: RunResult) -> None:
         self.done.append(result)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def examined_once() -> Iterator[None]:
+    """Forty studies of one plan, whose cell is found fit once; one that is not fit is another cell."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agent.study.study.examine", once_per_cell(examine))
+        yield
 
 
 @pytest.fixture(scope="module")
