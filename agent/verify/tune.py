@@ -134,10 +134,13 @@ class Tuner:
         ]
         self._quiet = [s.torque_Nm(g, own.observer) for g, s in zip(own.gains, self._loudest, strict=True)]
         self._poses = poses(Walk(cell, self._models, self._along, ()))
+        self._configured: GainSet | None = None
 
     def configured(self) -> GainSet:
-        """The gains as the cell file has them."""
-        return self._examined(self.cell)
+        """The gains as the cell file has them, examined once."""
+        if self._configured is None:
+            self._configured = self._examined(self.cell)
+        return self._configured
 
     def propose(self, form: Form, margin: Margin) -> Proposal:
         """The largest gains of this form that keep the margin.  Raises NoGains."""

@@ -228,6 +228,7 @@ def test_the_table_has_a_column_for_every_proposal_and_marks_what_is_unstable(
     tuner: Tuner, proposed: Callable[[Form], Proposal]
 ) -> None:
     proposals = [proposed(form) for form in RIGID]
+    assert all(proposal.before is tuner.configured() for proposal in proposals), "a sweep of the criterion each"
     table = tune_table(tuner.configured(), proposals)
     assert [column.header for column in table.columns] == ["", "configured", "--form ratio", "--form rate"]
     cells = {row: list(column.cells) for row, column in zip(("label", "configured"), table.columns, strict=False)}
