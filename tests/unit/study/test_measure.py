@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from agent.config.cell import Cell, load_cell
+from agent.control.trajectory import Trajectory
 from agent.safety import Flag
 from agent.study import measure as module
 from agent.study.fault import Fault, FaultKind
@@ -32,6 +33,12 @@ def cell() -> Cell:
     changes = ("duration_s=8.0", "rate_hz=100.0", "trajectory.angle_rad=0.0")
     seen = ("report.transient_s=1.0", "simulation.observe_rate_hz=10.0", "simulation.ready_s=0.5")
     return load_cell(Path("paper"), [*changes, *seen])
+
+
+@cache
+def motion() -> Trajectory:
+    """Its trajectory, of which scripted runs ask eight thousand times."""
+    return cell().trajectory()
 
 
 Seen = tuple[float, float, float, float]  # errors of the object and of what the anchor sees of it: m, rad, m, rad
@@ -60,7 +67,7 @@ class Scripted:
 
     def observe(self) -> Any:
         self.observed.append(self.t)
-        desired = cell().trajectory().at(max(self.t + self._skew_s, 0.0))
+        desired = motion().at(max(self.t + self._skew_s, 0.0))
         off_m, off_rad, own_m, own_rad = self._off(self.t)
         p = np.array(desired.p) + np.array([off_m, 0.0, 0.0])
         quat = about_z(off_rad)
@@ -82,7 +89,7 @@ def off_at(errors_m: Mapping[float, float], usual_m: float) -> Callable[[float],
 
 def about_z(angle: float) -> np.ndarray:
     """The desired attitude of the cell, turned further."""
-    w, x, y, z = cell().trajectory().at(0.0).quat
+    w, x, y, z = motion().at(0.0).quat
     assert (x, y) == (0.0, 0.0)
     half = 0.5 * angle + math.atan2(z, w)
     return np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
