@@ -106,8 +106,11 @@ class Running:
             on_event(DriverEvent(EventKind.SLOW_CHECKS, text))
 
     def again(self) -> Running:
-        """The same arm, with nothing remembered: goals at rest, no doubts, no counts."""
+        """The same arm, with nothing remembered but what is slow: goals at rest, no doubts, no counts."""
         made = Running(*self._made_of, fast=self.fast)
+        for record, old in zip(made._records, self._records, strict=True):
+            record.voltage_V, record.temperature_C, record.slow_ns = old.voltage_V, old.temperature_C, old.slow_ns
+            record.thermal = old.thermal
         if made.grip is not None and self.grip is not None:
             made.grip.go_on(self.grip)
         return made

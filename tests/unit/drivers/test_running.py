@@ -194,6 +194,18 @@ def test_made_again_it_is_the_same_arm_with_nothing_remembered(bench: Bench) -> 
         assert again.reader.read().rows[0] is not None, "on the same bus"
 
 
+def test_made_again_it_knows_the_supply_and_the_heat_of_its_servos_as_last_read(bench: Bench) -> None:
+    """Effort is made of the supply, and a reading of the connection is not a new one."""
+    record = bench.running._records[2]
+    record.voltage_V, record.temperature_C, record.slow_ns = 10.4, 61.0, 77
+    record.thermal.add(1.0, 61.0)
+    again = bench.running.again()
+    health = again.health(100)
+    assert (health.voltage_V[2], health.temperature_C[2], health.slow_ns[2]) == (10.4, 61.0, 77)
+    assert again._records[2].thermal is record.thermal
+    assert again._records[2].sent == 0
+
+
 def test_there_is_one_packet_per_register_that_some_joint_uses(bench: Bench) -> None:
     assert [(writer.ids, joints) for writer, joints in bench.running._writers] == [((2, 4, 5), [0, 1, 2]), ((6,), [3])]
     no_pwm = tuple(replace(j, role=WX200.joints[0].role) if j.name == "wrist_rotate" else j for j in WX200.joints)
