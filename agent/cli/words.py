@@ -44,7 +44,7 @@ def stop(
     control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
-    """Let this host's agents hold the object where it is; says who did not answer."""
+    """Let this host's agents hold the object where it is (simulated ones let go and end); says who did not answer."""
     _pass_on("stop", cell, arm, control, host)
 
 

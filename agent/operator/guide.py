@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -116,11 +116,18 @@ _HELD = _Way(
     lost="support it and what it holds; {}then start its agent",
     others_first="stop and release the others; ",
 )
+_HELD_BRIEFLY = replace(  # of agents that let go where they are stopped
+    _HELD,
+    going_on={Mode.READY: "wait for the others; or support the object, then coop stop CELL"},
+    going_back={Mode.READY: "support the object; then coop stop CELL"},
+    others_first="stop the others; ",
+)
 _CARRIES = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 _STAYS = frozenset({Mode.READY, Mode.HOLD})
 _DEAF = "support it and what it holds: no word reaches it; its log says why, then end its process"
 _WAIT = "wait until it answers"
 _STOPS = "what moves stops, what holds the object goes on holding it"
+_ALL_LET_GO = "coop stop CELL: the arms stop for a moment, then let go and end"
 
 
 def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -> list[str]:
@@ -129,7 +136,11 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
     arms: as in the document of agent.operator.status; option: that which names them to a word.
     """
     said, modes, silenced = list[str](), dict[str, Mode](), dict[str, tuple[str, str | None]]()
-    way = _HELD if {arm["session"] for arm in arms if arm["answers"]} == {False} else _IN_SESSION
+    heard = [arm for arm in arms if arm["answers"]]
+    lets_go = [arm["arm"] for arm in heard if arm["drops_on_stop"]]
+    ends = _End(lets_go, everyone=len(lets_go) == len(heard))
+    held = {arm["session"] for arm in heard} == {False}
+    way = _IN_SESSION if not held else _HELD_BRIEFLY if ends.everyone else _HELD
     for arm in arms:
         name: str = arm["arm"]
         head, why = (arm["mode"], "") if arm["answers"] else silent(arm)
@@ -143,12 +154,12 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
             modes[name] = mode
         what = way.steps[mode].seen if mode in way.steps else TABLE[mode].says
         said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, (what, *unfit(arm), arm["reason"]))))
-    back = any(arm["answers"] and arm["no_start"] for arm in arms)
+    back = any(arm["no_start"] for arm in heard)
     if silenced or len(set(modes.values())) > 1:
         gone = {name: _begin_again(way, *how, others=bool(modes)) for name, how in silenced.items()}
-        told = _apart(way, modes, back, gone)
+        told = _apart(way, modes, back, gone, ends)
     else:
-        told = _alike(way, next(iter(modes.values())), back) if modes else []
+        told = _alike(way, next(iter(modes.values())), back, ends) if modes else []
     return said + [line.replace("--arm", option).replace("CELL", cell) for line in told]
 
 
@@ -157,21 +168,37 @@ def missing(arms: Sequence[Mapping[str, Any]]) -> bool:
     return any(not arm["answers"] and silent(arm)[0] not in Mode.__members__ for arm in arms)
 
 
-def _alike(way: _Way, mode: Mode, back: bool) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class _End:
+    """Whom a stop ends."""
+
+    arms: Sequence[str]  # that let go at one, as simulated arms do
+    everyone: bool  # of those that answer
+
+    def of(self, stop: str) -> str:
+        """What a stop does, where `stop` is true of arms that hold."""
+        if not self.arms:
+            return stop
+        return _ALL_LET_GO if self.everyone else f"{stop} ({', '.join(self.arms)}: let go and end)"
+
+
+def _alike(way: _Way, mode: Mode, back: bool, ends: _End) -> list[str]:
     """What to say to arms that are equally far; back: there will be no carry."""
     step = way.steps[mode]
     do = way.going_back.get(mode, step.do) if back else step.do
-    return [f"next: {do}", *([f"to stop: {step.stop}"] if step.stop else [])]
+    return [f"next: {do}", *([f"to stop: {ends.of(step.stop)}"] if step.stop else [])]
 
 
-def _apart(way: _Way, modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str]) -> list[str]:
+def _apart(way: _Way, modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str], ends: _End) -> list[str]:
     """What to say to arms that are not equally far; gone: what to do with those that hear nothing."""
-    told = [f"to stop: coop stop CELL: {_STOPS}"] if any(way.steps[mode].stop for mode in modes.values()) else []
+    moves = any(way.steps[mode].stop for mode in modes.values())
+    told = [f"to stop: {ends.of(f'coop stop CELL: {_STOPS}')}"] if moves else []
     carry = [name for name, mode in modes.items() if mode in _CARRIES]
     how = {modes[name] for name in carry}
     if Mode.TRACK in how or (Mode.LOWER in how and how & _STAYS):  # one moves what another one holds, or has lost
         everyone = len(carry) == len(modes) + len(gone)
-        told.append("next: coop stop CELL; then " + _to(way.set_down, [] if everyone else carry))
+        then = "coop stop CELL; then " + _to(way.set_down, [] if everyone else carry)
+        told.append(f"next: {'support the object; then coop stop CELL' if ends.everyone else then}")
     else:
         carry = []
     back = back or Mode.FAULT in modes.values() or any(text != _WAIT for text in gone.values())

@@ -91,6 +91,7 @@ def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, age_s: float | 
         "guard": details.get("guard"),
         "no_start": details.get("no_start"),
         "session": details.get("session"),
+        "drops_on_stop": details.get("drops_on_stop"),
         "clock_bound_s": details.get("clock_bound_s"),
         "start_utc_ns": details.get("start_utc_ns"),
         "last_row_age_s": age_s,

@@ -53,6 +53,7 @@ _OF_SESSION = (Verb.APPROACH, Verb.GRASP, Verb.LOWER, Verb.PARK)
 _NO_SESSION = Effect(None, "it began with the object in its gripper", "start its agent with --whole, arms at rest")
 _AGAIN = "release it once the object is supported, and start its agent again"
 _UNBEGUN = "has no torque yet: it stays off, and its agent ends (a simulated arm begins all the same"
+_LETS_GO = "lets go and ends, as a simulated arm does"
 _STOP_FIRST = "stop it first, support the object, then release it"
 
 
@@ -81,7 +82,7 @@ TABLE: Final[Mapping[Verb, Mapping[Mode, Effect]]] = MappingProxyType({
         Mode.FAULT: Effect(Mode.FAULT, "has nothing to take back"),
     }),
     Verb.STOP: _in_each({
-        Mode.OFF: Effect(Mode.OFF, f"{_UNBEGUN}, and holds)"),
+        Mode.OFF: Effect(Mode.OFF, f"{_UNBEGUN}, and is stopped then)"),
         Mode.READY: Effect(Mode.HOLD, "holds; a start that was given counts no more"),
         Mode.TRACK: Effect(Mode.HOLD, "holds the object where it is"),
         Mode.HOLD: Effect(Mode.HOLD, "goes on holding"),
@@ -99,6 +100,21 @@ TABLE: Final[Mapping[Verb, Mapping[Mode, Effect]]] = MappingProxyType({
     Verb.STATUS: _in_each({mode: Effect(mode, "says how things are") for mode in MODES}),
     **{verb: _in_each(dict.fromkeys(MODES, _NO_SESSION)) for verb in Verb if verb in _OF_SESSION},
 })  # fmt: skip
+
+
+# what a stop does to an agent that lets go at one, as it says of itself (`drops_on_stop`), where it is not as in TABLE
+LETS_GO: Final[Mapping[Mode, str]] = MappingProxyType(
+    {
+        Mode.READY: f"holds for a moment, then {_LETS_GO}; a start that was given counts no more",
+        Mode.TRACK: f"holds the object for a moment, then {_LETS_GO}",
+        Mode.HOLD: _LETS_GO,
+        Mode.LOWER: _LETS_GO,
+        **dict.fromkeys(
+            (Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.RELEASE, Mode.PARK, Mode.HALT),
+            f"stands for a moment, then {_LETS_GO}",
+        ),
+    }
+)
 
 
 def effect(verb: Verb, mode: Mode) -> Effect:

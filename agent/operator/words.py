@@ -23,7 +23,7 @@ from agent.operator.error import ControlError, InstantError
 from agent.operator.local import Places, has_other_hosts, judge_clock, named, places
 from agent.operator.message import Reply, Request
 from agent.operator.session_table import SESSION
-from agent.operator.table import TABLE, Verb
+from agent.operator.table import LETS_GO, TABLE, Verb
 
 SOONEST_S = 0.05
 ATTEMPTS = 3  # of a patient start
@@ -168,7 +168,7 @@ def _outcome(heard: Mapping[str, Heard]) -> str:
         if not isinstance(one, Reply):
             said[arm] = "NOT KNOWN, it does not answer"
         elif one.mode in ("TRACK", "LOWER"):
-            said[arm] = "had begun, holds now"
+            said[arm] = f"had begun, {LETS_GO[Mode[one.mode]] if _lets_go(one) else 'holds now'}"
         else:
             said[arm] = "does not begin"
     return named(said)
@@ -222,8 +222,14 @@ def _done(heard: Mapping[str, Heard], verb: Verb) -> str:
 
 
 def _does(verb: Verb, one: Reply) -> str:
-    table = SESSION if one.details.get("session") else TABLE
-    return table[verb][Mode[one.mode]].does
+    table, mode = SESSION if one.details.get("session") else TABLE, Mode[one.mode]
+    does = table[verb][mode].does
+    return LETS_GO.get(mode, does) if verb is Verb.STOP and _lets_go(one) else does
+
+
+def _lets_go(one: Reply) -> bool:
+    """Whether a stop ends this agent; one of a release that does not say so is taken for one that holds."""
+    return one.details.get("drops_on_stop") is True
 
 
 def _require_time(request: Request) -> None:

@@ -275,7 +275,10 @@ def _stand(
         standing.no_start = IN_LOCKSTEP
     elif options.driver is DriverKind.DYNAMIXEL and not punctual:
         standing.no_start = no_real_time(real.text)
-    of_host = {"pid": os.getpid(), "real_time": asdict(real), "driver": options.driver.value, "session": options.whole}
+    of_host = {
+        "pid": os.getpid(), "real_time": asdict(real), "driver": options.driver.value, "session": options.whole,
+        "drops_on_stop": not options.hold,
+    }  # fmt: skip
 
     def details() -> dict[str, Any]:
         start, bound_s = operator.start, operator.clock.bound_s if operator.clock else math.inf

@@ -129,7 +129,10 @@ class Successor:
         servos = ServoTeller(driver, watched.texts, clock.utc_offset_ns, rate_hz)
         agent = self._options.agent
         operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold, session=self._session)
-        fixed = {"pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS, "session": self._session}
+        fixed = {
+            "pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS, "session": self._session,
+            "drops_on_stop": not agent.hold,
+        }  # fmt: skip
         if control is not None:
             control.standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
         heart.mode(begins)

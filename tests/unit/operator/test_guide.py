@@ -50,6 +50,7 @@ def arm(name: str, mode: str | None, reason: str = "", **other: Any) -> dict[str
         "same_cell": True,
         "no_start": None,
         "session": True,
+        "drops_on_stop": False,
     }
     return {"arm": name, "mode": mode, "reason": reason, "last_row_age_s": 0.0, **own, **other}
 
@@ -246,3 +247,26 @@ def test_arms_of_no_session_are_supported_and_released_and_not_lowered() -> None
     assert lines([arm("left", "READY", session=False), silent("right", "TRACK")], "c")[-1] == (
         "next for right: support it and what it holds; stop and release the others; then start its agent"
     )
+
+
+def test_arms_that_let_go_at_a_stop_are_not_said_to_hold_after_one() -> None:
+    def brief(name: str, mode: str, **other: Any) -> dict[str, Any]:
+        return arm(name, mode, session=False, drops_on_stop=True, **other)
+
+    ends = "to stop: coop stop c: the arms stop for a moment, then let go and end"
+    assert lines([brief("left", "TRACK"), brief("right", "TRACK")], "c")[2:] == ["next: wait", ends]
+    apart = lines([brief("left", "HOLD"), brief("right", "TRACK")], "c")
+    assert apart[2:] == [ends, "next: support the object; then coop stop c"]
+    assert lines([brief("left", "READY"), silent("right", "TRACK")], "c")[2:] == [
+        ends,
+        "next for left: support the object; then coop stop c --arm left",
+        "next for right: support it and what it holds; stop the others; then start its agent",
+    ]
+    unlike = [arm("left", "TRACK", session=False), brief("right", "TRACK")]
+    assert lines(unlike, "c")[-1] == (
+        "to stop: coop stop c: the arms hold the object; support it, then coop release c (right: let go and end)"
+    )
+    unlike[0]["mode"] = "HOLD"
+    assert lines(unlike, "c")[2:] == [
+        f"{STOPS} (right: let go and end)", "next: coop stop c; then support the object and coop release c"
+    ]  # fmt: skip

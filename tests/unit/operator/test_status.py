@@ -115,7 +115,8 @@ def test_a_living_arm_is_shown_with_all_it_has(living: Arm) -> None:
         "arm": "left", "answers": True, "silence": None, "alive": True, "ended": False, "failed": None,
         "failed_utc_ns": None,
         "mode": "HOLD", "reason": "t = 3 s: OFF_TRACK", "same_cell": True, "pid": 7, "driver": "dynamixel",
-        "real_time": None, "guard": None, "no_start": None, "session": None, "clock_bound_s": None,
+        "real_time": None, "guard": None, "no_start": None, "session": None, "drops_on_stop": None,
+        "clock_bound_s": None,
         "start_utc_ns": 5, "last_row_age_s": pytest.approx(0.002),
         "timing": {
             "rows": 400, "without_state": 0, "rate_hz": pytest.approx(200.0), "late_p99_s": 1e-5, "late_max_s": 2e-4,
@@ -300,10 +301,14 @@ def test_an_arm_that_would_refuse_the_start_says_so_in_front(living: Arm) -> Non
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_an_arm_that_answers_says_whether_it_is_one_of_a_session(living: Arm, *, whole: bool) -> None:
+def test_an_arm_that_answers_says_whether_it_is_one_of_a_session_and_lets_go_at_a_stop(
+    living: Arm, *, whole: bool
+) -> None:
     assert living.control is not None
-    living.control.standing.details = lambda: {"session": whole}
-    assert status(CELL, CLOCK, logs=())["arms"][0]["session"] is whole
+    living.control.standing.details = lambda: {"session": whole, "drops_on_stop": not whole}
+    found = status(CELL, CLOCK, logs=())["arms"][0]
+    assert found["session"] is whole
+    assert found["drops_on_stop"] is not whole
 
 
 def test_a_recorder_at_work_is_found_by_its_lock_which_nobody_takes(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,10 @@ import pytest
 from agent.modes import Mode
 from agent.operator import words
 from agent.operator.error import ControlError
-from agent.operator.message import Request
+from agent.operator.message import Reply, Request
+from agent.operator.session_table import SESSION
 from agent.operator.socket import ControlSocket
-from agent.operator.table import MODES, Verb
+from agent.operator.table import MODES, TABLE, Verb
 from agent.operator.words import start_together
 from tests.support.operated_arms import (
     DEAD,
@@ -181,3 +183,28 @@ def test_a_lowering_that_one_arm_does_not_take_is_taken_back(tmp_path: Path) -> 
     assert arms[0].control is not None
     assert arms[0].control.requests.lower is None
     assert arms[0].heard == (False, [Verb.STOP])
+
+
+@pytest.mark.parametrize("session", [False, True])
+@pytest.mark.parametrize("mode", [Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER])
+def test_an_arm_that_lets_go_at_a_stop_is_not_said_to_hold(tmp_path: Path, mode: Mode, *, session: bool) -> None:
+    arms = cell_of(tmp_path / "cell", (mode, mode))
+    with serving(arms):
+        for arm, drops in zip(arms, (True, False), strict=True):
+            assert arm.control is not None
+            arm.control.standing.details = partial(dict, session=session, drops_on_stop=drops)
+        told = words._tell_all({arm.path.stem: [arm.path] for arm in arms}, Request(Verb.STOP, OWN), PATIENT_S)
+    drops_it, holds_it = told.replace("; a start that", ", a start that").split("; ")
+    assert "lets go and ends, as a simulated arm does" in drops_it
+    assert holds_it.removeprefix("b ") == (SESSION if session else TABLE)[Verb.STOP][mode].does.replace("; ", ", ")
+
+
+def test_a_start_that_is_taken_back_says_of_such_an_arm_that_it_lets_go() -> None:
+    holds, ends = ({"drops_on_stop": drops} for drops in (False, True))
+    assert words._outcome({
+        "a": Reply(True, "a", "TRACK", details=holds), "b": Reply(True, "b", "TRACK", details=ends),
+        "c": Reply(True, "c", "TRACK"),
+    }) == (
+        "a: had begun, holds now; b: had begun, holds the object for a moment, then lets go and ends, as a simulated "
+        "arm does; c: had begun, holds now"
+    )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.host.notify import Notifier
 from agent.host.signals import StopFlag
+from agent.modes import Mode
 from agent.operator.socket import Standing
 from agent.process import successor as process
 from agent.process.build import Connection
@@ -27,11 +29,11 @@ from drivers.interface import Refusal
 CELL = load_cell(Path("two_wx200"))
 
 
-def made(folder: Path) -> Successor:
+def made(folder: Path, *, hold: bool = True) -> Successor:
     arm = CELL.arm("left")
     options = AgentOptions(
         "left", DriverKind.DYNAMIXEL, Connection(), ring=folder / "left.ring", control=folder / "left.control",
-        lockstep=False, hold=True,
+        lockstep=False, hold=hold,
     )  # fmt: skip
     given = GuardOptions(options, Path(), folder / "guard", folder)
     return Successor(CELL, arm, build_agent(CELL, arm), given, StopFlag(), Notifier(""))
@@ -68,3 +70,14 @@ def test_a_folder_that_somebody_keeps_is_not_waited_for_while_the_servos_wait(
         stack.pop_all()
     assert waits == [0.02]
     assert waits[0] <= 0.1 * WATCHDOG_S
+
+
+@pytest.mark.parametrize("hold", [False, True])
+def test_a_guard_in_the_place_of_an_agent_says_whether_a_stop_ends_its_hold(tmp_path: Path, *, hold: bool) -> None:
+    standing = Standing("left")
+    control: Any = SimpleNamespace(standing=standing)
+    watched: Any = SimpleNamespace(texts=None, writer=SimpleNamespace(row=defaultdict(float), written=0))
+    tell: Any = SimpleNamespace(event=None, trouble=None)
+    clock: Any = SimpleNamespace(utc_offset_ns=0)
+    made(tmp_path, hold=hold)._around(control, Any, watched, clock, tell, Any, Mode.HOLD)  # type: ignore[arg-type]
+    assert standing.details()["drops_on_stop"] is not hold

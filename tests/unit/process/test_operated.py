@@ -478,6 +478,7 @@ def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowe
         assert standing.ready_ns > 0
         assert standing.details()["tick"]["cycles"] == 0
         assert standing.details()["no_start"] == standing.no_start
+        assert standing.details()["drops_on_stop"] is False
     assert standing.no_start is None or "--allow-no-realtime" in standing.no_start["remedy"]
     ((text, data),) = told
     assert text == f"real time: {priority or 'SCHED_OTHER'} 0, 0 MB of memory locked; latency: not tested"
@@ -497,6 +498,7 @@ def test_an_agent_in_lockstep_starts_by_itself_and_says_nothing_of_its_host(
             rig.control.standing, options, rig.operator, ring, teller, load_cell(configs.CELLS_DIR / "paper.toml"), None
         )
         assert rig.control.standing.details()["no_start"] is None
+        assert rig.control.standing.details()["drops_on_stop"] is True, "as the operator does what it says"
         refused = rig.control._no_start(Request(Verb.START, rig.control._fingerprint, time.time_ns() + 10**12))
     assert refused is not None
     assert refused.refusal["found"] == "an agent in lockstep"
