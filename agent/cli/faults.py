@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -68,7 +69,9 @@ def inject(
     at: Annotated[float | None, typer.Option(min=0.0, help=f"When, s of the trajectory ({AT_S:g}).")] = None,
     for_s: Annotated[float | None, typer.Option("--for", help="How long, s; for good without it.")] = None,
     size: Annotated[float | None, typer.Option(help="How much, in the unit of `list --kinds`.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Seconds of the trajectory.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(help=f"Seconds of the trajectory (until {MORE_S:g} s behind the fault).")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of what is random on the bus.")] = 1,
     out: Annotated[Path | None, typer.Option(metavar="LOG", help="Leave a log of it.")] = None,
     overrides: Overrides = [],
@@ -88,10 +91,8 @@ def inject(
     from agent.verify.check import examine
 
     faults, made_so = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
-    ends = [f.at_s + (f.for_s if math.isfinite(f.for_s) else 0.0) for f in faults]
-    loaded = load_cell(
-        cell, [*made_so, *overrides, f"duration_s={max(ends) + MORE_S if duration is None else duration}"]
-    )
+    changes = [*made_so, *overrides]
+    loaded = load_cell(cell, [*changes, *_length(cell, changes, faults, duration)])
     require_simulated(loaded)
     require_happens(faults, loaded.file.duration_s)
     if out is not None:
@@ -112,6 +113,27 @@ def inject(
         _say(run.faults, found)
         if out is not None:
             typer.echo(f"log               {out}")
+
+
+def _length(cell: Path, changes: list[str], faults: Sequence[Injection], duration: float | None) -> list[str]:
+    """How long the run is, as a change of the cell: as asked, else until something behind the last fault.
+
+    Raises FaultPlanError where it is asked for twice, and where nobody asks for a run beyond the cell's own and a
+    fault would begin behind that.
+    """
+    from agent.config.files import load_files
+    from agent.faults.plan import FaultPlanError, require_happens
+
+    asked = [change for change in changes if change.partition("=")[0].strip() == "duration_s"]
+    if asked and duration is not None:
+        raise FaultPlanError(
+            "--duration", found=f"--set {asked[-1]} beside it", expected="one of the two", remedy="leave one out"
+        )
+    if asked or duration is not None:
+        return [] if asked else [f"duration_s={duration}"]
+    require_happens(faults, load_files(cell, changes).file.duration_s)
+    ends = [fault.at_s + (fault.for_s if math.isfinite(fault.for_s) else 0.0) for fault in faults]
+    return [f"duration_s={max(ends) + MORE_S}"]
 
 
 def _faults(name: str, **given: Any) -> tuple[tuple[Injection, ...], tuple[str, ...]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.cli.faults import _faults
+from agent.cli.faults import _faults, _length
 from agent.faults.catalogue import rows
 from agent.faults.plan import NAMES
 from agent.log.read import read_log
@@ -121,3 +121,29 @@ def test_a_motion_that_leaves_the_arms_reach_is_refused_before_anything_runs() -
 def test_a_fault_of_which_no_instant_is_said_happens_at_three_seconds(said_s: float | None, at_s: float) -> None:
     (fault,), _ = _faults("bus-off", arm="left", servo=None, at_s=said_s, for_s=None, size=None)
     assert fault.at_s == at_s
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (("--set", "duration_s=2"), "fault bus-off at 3 s: found a run of 2 s, expected an instant before its end"),
+        (("--at", "101"), "fault bus-off at 101 s: found a run of 100 s, expected an instant before its end"),
+        (
+            ("--set", "duration_s=5", "--duration", "6"),
+            "--duration: found --set duration_s=5 beside it, expected one of the two; leave one out",
+        ),
+    ],
+)
+def test_a_run_is_as_long_as_was_asked_and_never_longer_than_the_cell_s_for_an_instant_behind_it(
+    asked: tuple[str, ...], said: str
+) -> None:
+    done = coop("faults", "inject", "paper_real", "bus-off", *asked)
+    assert (done.code, done.out) == (2, "")
+    assert said in done.err
+
+
+def test_the_length_of_a_run_is_what_was_set_else_ends_behind_the_last_fault() -> None:
+    cell, faults = Path("paper_real"), _faults("bus-off", at_s=3.0, for_s=0.5, arm=None, servo=None, size=None)[0]
+    assert _length(cell, ["duration_s = 4"], faults, None) == [], "the cell has it already"
+    assert _length(cell, [], faults, 120.0) == ["duration_s=120.0"]
+    assert _length(cell, ["rate_hz=100"], faults, None) == ["duration_s=5.5"]
