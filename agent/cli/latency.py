@@ -40,7 +40,7 @@ def latency_test(
     with latency.load(cores) if load else contextlib.nullcontext():
         quiet_memory()
         if priority:
-            become_realtime(priority)
+            become_realtime(priority, "measure without it: --priority 0")
         real_time = granted()
         note(f"{seconds:g} s at {rate:g} Hz, {real_time.text}, {f'load on {cores} cores' if load else 'no load'}")
         begin_ns = clock.now_ns()

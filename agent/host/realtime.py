@@ -13,6 +13,7 @@ from drivers.interface import Refusal
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 TIMER_SLACK_NS = 1_000
 _PR_SET_TIMERSLACK = 29
+WITHOUT = "leave out --priority (real arms are then moved with --allow-no-realtime alone)"
 
 
 class RealtimeError(Refusal):
@@ -63,9 +64,10 @@ def quiet_memory() -> None:
     gc.disable()
 
 
-def become_realtime(priority: int) -> None:
+def become_realtime(priority: int, without: str = WITHOUT) -> None:
     """SCHED_FIFO with `priority`, memory locked, precise wake-ups.  Raises RealtimeError when one is refused.
 
+    without: how whoever asks for it does without, for the remedy.
     Memory is locked first, which takes longer than LimitRTTIME leaves a real-time thread that does not sleep.  Helpers
     started later do not inherit it (SCHED_RESET_ON_FORK).
     """
@@ -73,14 +75,14 @@ def become_realtime(priority: int) -> None:
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         raise RealtimeError(
             "locked memory", found=os.strerror(ctypes.get_errno()), expected="all memory locked",
-            remedy="grant LimitMEMLOCK=infinity (the shipped unit does), or leave out --priority",
+            remedy=f"grant LimitMEMLOCK=infinity (the shipped unit does), or {without}",
         )  # fmt: skip
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (PermissionError, OSError) as error:
         raise RealtimeError(
             "real-time priority", found=error.strerror, expected=f"SCHED_FIFO {priority}",
-            remedy="grant LimitRTPRIO (the shipped unit does), or leave out --priority",
+            remedy=f"grant LimitRTPRIO (the shipped unit does), or {without}",
         ) from error  # fmt: skip
     libc.prctl(_PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
 

@@ -11,10 +11,11 @@ import stat
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from agent.host import latency
+from agent.host import latency, realtime
 from agent.host.latency import (
     EDGES_US,
     SYSTEM_FILE,
@@ -186,6 +187,24 @@ def test_the_command_measures_judges_and_keeps(tmp_path: Path) -> None:
     assert kept.histogram.cycles + kept.histogram.missed >= 200
     assert (kept.loaded, kept.real_time.policy) == (False, "SCHED_OTHER")
     assert gc.isenabled(), "for the tests behind this one"
+
+
+@pytest.mark.parametrize("locks", [True, False])
+def test_a_host_that_grants_no_real_time_is_told_what_does_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, locks: bool
+) -> None:
+    """The test asks for it unless told otherwise, so that there is nothing to leave out."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(realtime.ctypes, "CDLL", lambda *_, **__: SimpleNamespace(mlockall=lambda _: 0 if locks else 1))
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    done = coop("latency-test", "--seconds", 1, "--no-load", "--out", tmp_path / "latency.json")
+    assert done.code == 8
+    assert done.err.endswith("(the shipped unit does), or measure without it: --priority 0\n")
+    with pytest.raises(realtime.RealtimeError, match=r"or leave out --priority \(real arms .* --allow-no-realtime"):
+        realtime.become_realtime(80)
 
 
 @pytest.mark.parametrize("as_json", [False, True])
