@@ -52,6 +52,16 @@ def require_place(*paths: Path, force: bool, refusal: type[Refusal] = WriteError
             )  # fmt: skip
 
 
+def require_writable(path: Path) -> None:
+    """Raise WriteError, before the work, where no file can be made at `path`: one is made beside it and removed."""
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise _refused(WriteError, path, error) from error
+    os.close(handle)
+    Path(name).unlink()
+
+
 def make_folder(path: Path) -> None:
     """Make the folder, and those above it, where it is not there.  Raises WriteError."""
     try:

@@ -25,7 +25,7 @@ def latency_test(
     import contextlib
     import os
 
-    from agent.atomic import make_folder
+    from agent.atomic import make_folder, require_writable
     from agent.host import latency
     from agent.host.realtime import become_realtime, granted, quiet_memory
     from agent.host.signals import StopFlag
@@ -36,6 +36,7 @@ def latency_test(
     if out is not None:
         latency.require_own(out)
     make_folder(path.parent)  # before somebody has waited for minutes
+    require_writable(path)
     cores = len(os.sched_getaffinity(0))
     with latency.load(cores) if load else contextlib.nullcontext():
         quiet_memory()

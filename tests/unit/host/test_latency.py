@@ -207,6 +207,17 @@ def test_a_host_that_grants_no_real_time_is_told_what_does_without_it(
         realtime.become_realtime(80)
 
 
+def test_a_place_that_takes_no_file_is_refused_before_anything_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    def measured(*_: object) -> None:
+        pytest.fail("somebody would have waited for this")
+
+    monkeypatch.setattr(latency, "measure", measured)
+    done = coop("latency-test", "--priority", 0, "--no-load", "--out", "/proc/latency.json")
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith("coop: file /proc/latency.json: found ")
+    assert done.err.endswith("expected a folder to write it into; name another path\n")
+
+
 @pytest.mark.parametrize("as_json", [False, True])
 def test_one_that_is_stopped_is_told_and_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool
