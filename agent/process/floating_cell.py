@@ -21,6 +21,12 @@ from agent.verify.check import examine
 from drivers.dynamixel.line.ports import require_usable
 
 
+class FloatAskedError(FloatError):
+    """A command line by which no arm can float; nothing was opened or started."""
+
+    exit_code = 2
+
+
 @dataclass(frozen=True)
 class FloatOptions:
     """How arms are let float."""
@@ -38,9 +44,9 @@ class FloatOptions:
 
 
 def floating_cell(options: FloatOptions) -> Cell:
-    """The cell, told which arms float.  Raises ConfigError, FloatError."""
+    """The cell, told which arms float.  Raises ConfigError, FloatAskedError."""
     if options.emulate and options.ports is not None:
-        raise FloatError(
+        raise FloatAskedError(
             "--ports with --emulate", found="two answers to which servos are meant", expected="one of them",
             remedy="leave out --emulate for servos on those ports, or --ports for emulated ones",
         )  # fmt: skip
@@ -49,12 +55,12 @@ def floating_cell(options: FloatOptions) -> Cell:
     cell = load_cell(options.cell, others)
     names = [arm.name for arm in cell.arms]
     if cell.file.floating is None and not options.arms:
-        raise FloatError(
+        raise FloatAskedError(
             "arms that are to float", found="none", expected="--arm NAME", remedy=f"name {' or '.join(names)}"
         )
     for name in options.arms:
         if name not in names:
-            raise FloatError(
+            raise FloatAskedError(
                 "--arm", found=repr(name), expected=" or ".join(names), remedy="name arms of the cell"
             )  # fmt: skip
     own = [*changes, *_said(options, changes)]
@@ -68,7 +74,7 @@ def _is_of_floating(change: str) -> bool:
 
 
 def _said(options: FloatOptions, changes: Sequence[str]) -> list[str]:
-    """What options say of the table, as changes of it.  Raises FloatError for a key that --set gives as well."""
+    """What options say of the table, as changes of it.  Raises FloatAskedError for a key that --set gives as well."""
     carries = "--others-move" if options.others_move else "--holding"
     said = {
         "arms": ("--arm", json.dumps(options.arms) if options.arms else None),
@@ -78,7 +84,7 @@ def _said(options: FloatOptions, changes: Sequence[str]) -> list[str]:
     for change in changes:
         option, value = said.get(change.partition("=")[0].partition(".")[2].strip(), ("", None))
         if value is not None:
-            raise FloatError(
+            raise FloatAskedError(
                 option, found=f"--set {shown(change)} beside it", expected="one of the two", remedy="leave one out"
             )
     return [f"floating.{key}={value}" for key, (_, value) in said.items() if value is not None]
@@ -101,13 +107,13 @@ def require_ports(cell: Cell, options: FloatOptions) -> None:
 def require_motion(cell: Cell, options: FloatOptions) -> None:
     """Refuse a motion of the arms that move: unsafe, too fast beside a hand, or of real arms without real time.
 
-    Raises ConfigError, FloatError.
+    Raises ConfigError, FloatAskedError.
     """
     spec, movers = cell.file.floating, moving(cell)
     if spec is None or not movers:
         return
     if not (options.emulate or options.priority is not None or options.no_realtime):
-        raise FloatError(
+        raise FloatAskedError(
             "arms that move while others float", found="a normal priority", expected="SCHED_FIFO on a real arm",
             remedy=NO_REAL_TIME_REMEDY,
         )  # fmt: skip
@@ -115,7 +121,7 @@ def require_motion(cell: Cell, options: FloatOptions) -> None:
     for arm in movers:
         fastest = float(speeds_of_motion(cell, arm, cell.model(arm)).max())
         if fastest > spec.speed_max_rad_per_s:
-            raise FloatError(
+            raise FloatAskedError(
                 f"motion of arm {arm.name}", found=f"a joint at {fastest:.2f} rad/s",
                 expected=f"at most {spec.speed_max_rad_per_s:g} (floating.speed_max_rad_per_s), beside a hand",
                 remedy="give the cell a slower motion: --set trajectory.KEY=VALUE",

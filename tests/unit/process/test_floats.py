@@ -334,8 +334,13 @@ def test_a_cell_floats_as_asked_and_an_arm_that_works_does_not() -> None:
     assert (changed.floating.drag_per_s, changed.floating.arms, changed.rate_hz) == (7.0, ["left"], 210.0)
     with pytest.raises(FloatError, match="coop float --arm left"):
         Floats.of(cell, "left")
-    with pytest.raises(FloatError, match="expected --arm NAME; name left or right"):
-        floating_cell(FloatOptions(Path("two_wx200"), ()))
+    for arms, said in (
+        ((), "found none, expected --arm NAME; name left"),
+        (("lft",), "--arm: found 'lft', expected left"),
+    ):
+        with pytest.raises(FloatError, match=said) as refused:
+            floating_cell(FloatOptions(Path("two_wx200"), arms))
+        assert refused.value.exit_code == 2, "a mistake of the command line, as an arm that no command knows"
     stop: Any = lambda: False  # noqa: E731
     asked: Any = SimpleNamespace(arm="right", driver=DriverKind.DYNAMIXEL, guard=None, whole=True)
     with pytest.raises(FloatError, match="found --whole, expected no session"):
