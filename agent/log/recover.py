@@ -6,6 +6,7 @@ out than a record that was cut at the end, it stays under another name.  A finis
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 import zlib
@@ -135,9 +136,12 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool], *, force: boo
             log.with_name(log.name + SUFFIX).replace(log)
             _sync(log.parent, os.O_DIRECTORY)
     except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         raise LogFileError(
-            f"cannot repair {path}", found=error.strerror, expected="room for a copy of it", remedy="make room"
-        ) from error
+            f"cannot repair {path}", found=error.strerror,
+            expected="room for a copy of it" if full else "a folder in which a copy of it can be written",
+            remedy="make room" if full else "repair it as a user who may write there, or a copy of it elsewhere",
+        ) from error  # fmt: skip
     return RecoverReport(path, True, seen.count, problems, damaged, original)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from agent.log import scan
+from agent.log import locks, scan
 from agent.log.chunk import LIBRARY
 from agent.log.file import LogFileError, LogInTheWay
 from agent.log.messages import Messages
@@ -265,6 +265,31 @@ def test_where_the_damaged_original_cannot_be_kept_nothing_is_mended(
         recover(path)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.ENOSPC, "expected room for a copy of it; make room"),
+        (errno.EDQUOT, "expected room for a copy of it; make room"),
+        (errno.EACCES, "expected a folder in which a copy of it can be written; repair it as a user who may write"),
+        (errno.EROFS, "expected a folder in which a copy of it can be written; repair it as a user who may write"),
+    ],
+)
+def test_a_place_that_takes_no_copy_is_said_to_lack_room_where_it_does_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str
+) -> None:
+    path = tmp_path / "run.mcap"
+    make_log(path, finish=False)
+    before = path.read_bytes()
+
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(locks, "open_closed", refuse)
+    with pytest.raises(LogFileError, match=f"cannot repair .*: found {os.strerror(number)}, {said}"):
+        recover(path)
+    assert path.read_bytes() == before
 
 
 def test_a_log_that_is_being_written_is_refused(tmp_path: Path) -> None:
