@@ -58,9 +58,11 @@ class Recording:
 def from_log(log: AnyLog, arm: str | None = None) -> Recording:
     """Recording of the one arm of a log, with the arm file that the run used.
 
-    Raises IdentifyError for a log that is incomplete, of several arms, or too short, and what `recorded_cell` raises.
+    Raises IdentifyError for a log that is incomplete, of several arms, of one that a hand guided, or too short, and
+    what `recorded_cell` raises.
     """
     cell = recorded_cell(log)
+    _refuse_guided(log, arm)
     if len(cell.arms) > 1:
         raise IdentifyError(
             f"log {log.path.name}",
@@ -115,6 +117,17 @@ def acted(tau_sent: Matrix, delay_periods: float) -> Matrix:
     before = np.concatenate([np.repeat(tau_sent[:1], oldest, axis=0), tau_sent])
     mean: Matrix = (1.0 - share) * before[:count] + share * before[1 : count + 1]
     return mean
+
+
+def _refuse_guided(log: AnyLog, arm: str | None) -> None:
+    """Before arms are counted: of a cell of several, one that floats holds nothing with the others."""
+    for name in log.agents if arm is None else log.agents.keys() & {arm}:
+        if np.any(Table.of(log.agents[name])["mode"] == Mode.FLOAT):
+            raise IdentifyError(
+                f"log {log.path.name}", found=f"arm {name} guided by a hand, whose force is in no log",
+                expected="one arm that moves by itself",
+                remedy="record a cell like identify_wx200.toml, one arm with a light object",
+            )  # fmt: skip
 
 
 def _refuse_rehearsal(rows: Table, arm: str) -> None:

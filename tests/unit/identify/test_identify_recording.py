@@ -118,6 +118,20 @@ def test_several_arms_are_refused_because_their_forces_are_unknown() -> None:
     assert "identify_wx200.toml" in text
 
 
+@pytest.mark.parametrize("arm", [None, "left"])
+def test_an_arm_that_a_hand_guided_is_refused_for_the_hand_and_not_for_arms_that_took_no_part(arm: str | None) -> None:
+    """The arms of a cell hold one object only where they hold one: this one floated by itself."""
+    rows = rows_of()
+    rows["mode"][10:] = Mode.FLOAT
+    cell = load_cell(Path("two_wx200"), ['floating.arms=["left"]'])
+    text = refusal(log_of(cell, rows, agents={"left": rows}), arm=arm)
+    assert "found arm left guided by a hand, whose force is in no log, expected one arm that moves by itself" in text
+    assert "identify_wx200.toml" in text
+    both = {"left": rows, "right": rows_of()}
+    moves = refusal(log_of(cell, rows, agents=both), arm="right")
+    assert "found 2 arms on one object" in moves, "the one that moves while the other floats holds it with that one"
+
+
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
