@@ -13,11 +13,13 @@ from agent.verify.finding import Finding, Verdict, judged
 
 UPRIGHT_RAD = math.radians(5.0)
 GUARD_WIDE_M, GUARD_WIDE_RAD = 0.2, 1.0
+DENSITY_MIN_KG_PER_M3, DENSITY_MAX_KG_PER_M3 = 1.0, 25_000.0  # a frame in the air, and above all metals
+INERTIA_MARGIN = 2.0  # on all the mass in the corners, of a box that is drawn too small
 
 
 def plausibility(cell: Cell) -> list[Finding]:
-    """Gravity and how the arms stand in it, shares, guards and ports, and what is to befall them."""
-    return [*_gravity(cell), *_shares(cell), *_guards(cell), *_ports(cell), *_befalls(cell)]
+    """Gravity and how the arms stand in it, the object, shares, guards and ports, and what is to befall them."""
+    return [*_gravity(cell), *_object(cell), *_shares(cell), *_guards(cell), *_ports(cell), *_befalls(cell)]
 
 
 def _gravity(cell: Cell) -> list[Finding]:
@@ -44,6 +46,30 @@ def _gravity(cell: Cell) -> list[Finding]:
             )
         )  # fmt: skip
     return findings
+
+
+def _object(cell: Cell) -> list[Finding]:
+    """Warn of a mass, or moments about its centre, that no body within the object's box has; of others nothing."""
+    mass_kg, (a, b, c) = cell.file.object.mass_kg, cell.file.object.size_m
+    largest_kg_m2 = float(np.linalg.eigvalsh(cell.file.object.inertia_kg_m2.matrix())[-1])
+    density = mass_kg / (a * b * c)
+    corners_kg_m2 = mass_kg * (a * a + b * b + c * c) / 4.0  # all the mass as far away as it can be
+    solid = ", ".join(f"{mass_kg * (p * p + q * q) / 12.0:.3g}" for p, q in ((b, c), (a, c), (a, b)))
+    findings = [
+        judged(
+            "density of the object's box", "cell", f"{density:.3g} kg/m³",
+            f"{DENSITY_MIN_KG_PER_M3:g} to {DENSITY_MAX_KG_PER_M3:g} kg/m³",
+            holds=DENSITY_MIN_KG_PER_M3 <= density <= DENSITY_MAX_KG_PER_M3, otherwise=Verdict.WARNING,
+            remedy="correct object.mass_kg (kg) or object.size_m (m)",
+        ),
+        judged(
+            "inertia of the object", "cell", f"up to {largest_kg_m2:.3g} kg·m²",
+            f"≤ {corners_kg_m2:.3g} kg·m², all its mass in the corners of its box",
+            holds=largest_kg_m2 <= INERTIA_MARGIN * corners_kg_m2, otherwise=Verdict.WARNING,
+            remedy=f"correct object.inertia_kg_m2, mass_kg or size_m; a solid box of these has {solid} kg·m²",
+        ),
+    ]  # fmt: skip
+    return [found for found in findings if found.verdict is not Verdict.OK]
 
 
 def _befalls(cell: Cell) -> list[Finding]:

@@ -58,6 +58,41 @@ def test_gravity_of_another_unit_is_refused(gravity: float) -> None:
         load_cell(PAPER, [f"world.gravity_m_per_s2=[0.0, {-gravity}, 0.0]"])
 
 
+@pytest.mark.parametrize(
+    ("changes", "warned"),
+    [
+        (["object.mass_kg=1e-9"], ["density of the object's box", "inertia of the object"]),
+        (
+            ["object.mass_kg=2.6e-4", "object.inertia_kg_m2={xx=1e-9, yy=1e-9, zz=1e-9}"],
+            ["density of the object's box"],
+        ),
+        (["object.mass_kg=2.7e-4", "object.inertia_kg_m2={xx=1e-9, yy=1e-9, zz=1e-9}"], []),
+        (["object.mass_kg=6.5"], []),
+        (["object.mass_kg=6.6"], ["density of the object's box"]),
+        (["object.inertia_kg_m2={xx=5.0, yy=5.0, zz=5.0}"], ["inertia of the object"]),
+        (["object.inertia_kg_m2={xx=6.8e-4, yy=6.8e-4, zz=6.8e-4}"], []),
+        (["object.inertia_kg_m2={xx=7e-4, yy=6.8e-4, zz=6.8e-4}"], ["inertia of the object"]),
+        (["object.inertia_kg_m2={xx=5e-4, yy=5e-4, zz=5e-4, xy=2.2e-4}"], ["inertia of the object"]),
+    ],
+)
+def test_an_object_of_which_no_body_of_its_size_can_be_made_is_warned_of(changes: list[str], warned: list[str]) -> None:
+    """62 g in a box of 135 by 44 by 44 mm: at most 3.4e-4 kg·m² in its corners, of which twice is let pass."""
+    assert [what for what, _, _ in warnings(load_cell(PAPER, changes))] == warned
+
+
+def test_what_is_wrong_with_the_object_is_told_with_what_a_solid_one_would_have() -> None:
+    (found,) = (f for f in findings("object.inertia_kg_m2={xx=5, yy=5, zz=5}") if "object" in f.what)
+    assert found.line == (
+        "cell: inertia of the object: found up to 5 kg·m², wanted ≤ 0.000343 kg·m², all its mass in the corners of its "
+        "box; correct object.inertia_kg_m2, mass_kg or size_m; a solid box of these has 2e-05, 0.000104, 0.000104 kg·m²"
+    )
+    (found,) = (f for f in findings("object.mass_kg=62") if "object" in f.what)
+    assert found.line == (
+        "cell: density of the object's box: found 2.37e+05 kg/m³, wanted 1 to 25000 kg/m³; correct object.mass_kg (kg) "
+        "or object.size_m (m)"
+    )
+
+
 def test_an_arm_that_carries_nothing_is_allowed_by_the_paper_and_warned_of() -> None:
     cell = load_cell(PAPER, ["arms.left.load_share=1.0", "arms.right.load_share=0.0"])
     assert warnings(cell) == [("load share", "right", "0")]
