@@ -5,7 +5,7 @@ Rows stay where the log has them; a series is worked out when it is asked for, s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -70,8 +70,8 @@ class Prepared:
 def prepare(log: AnyLog) -> Prepared:
     """Find the rows of the run, match the plant's with the arms'.  A poor log is prepared too: `missing` says why."""
     info = read_info(log)
-    missing = [*info.notes, *log.problems, *_mended(log), *_parted(log), *_losses(log), *_strangers(log)]
     described = [arm.name for arm in info.arms]
+    missing = [*info.notes, *log.problems, *_mended(log), *_parted(log), *_losses(log, described), *_strangers(log)]
     in_order = sorted(log.agents, key=lambda name: described.index(name) if name in described else len(described))
     tables = by_one_clock({name: Table.of(log.agents[name]) for name in in_order})
     whole = {name: tables[name] for name in described if len(tables.get(name, ()))}
@@ -115,8 +115,8 @@ def _parted(log: AnyLog) -> list[str]:
     )
 
 
-def _losses(log: AnyLog) -> list[str]:
-    """What the recorder says was lost, and where."""
+def _losses(log: AnyLog, arms: Sequence[str]) -> list[str]:
+    """What the recorder says was lost, and where; that no row of one of these arms came is told of with the arm."""
     told = log.metadata.get("completeness", {})
     places = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
     counts = {(member, place): told.get(f"{member}.{key}", "0") for member in log.gaps for key, place in places.items()}
@@ -125,8 +125,11 @@ def _losses(log: AnyLog) -> list[str]:
         lost.append(
             "nothing in the log says whether rows are missing (`completeness`), so it does not count as complete"
         )
+    never = {member for member in log.gaps if _sent_nothing(told, member)}
     lost += [
-        f"{member} had not ended when the recorder did" for member in log.gaps if told.get(f"{member}.end") == "open"
+        f"no row of {member} came" if member in never else f"{member} had not ended when the recorder did"
+        for member in log.gaps
+        if told.get(f"{member}.end") == "open" and not (member in never and member in arms)
     ]
     awaited = {member: told.get(f"{member}.awaited", "0") for member in log.gaps}
     return lost + [
@@ -134,6 +137,11 @@ def _losses(log: AnyLog) -> list[str]:
         for member, count in awaited.items()
         if count != "0"
     ]
+
+
+def _sent_nothing(told: Mapping[str, str], member: str) -> bool:
+    """Whether not one row of it came, neither to this log nor to one before it."""
+    return told.get(f"{member}.rows_expected") == told.get(f"{member}.rows_before") == "0"
 
 
 def _strangers(log: AnyLog) -> list[str]:

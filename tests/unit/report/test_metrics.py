@@ -17,6 +17,7 @@ from agent.control.trajectory import Desired
 from agent.log.read import RunLog
 from agent.log.runinfo import Bounded
 from agent.modes import Mode
+from agent.process import listening
 from agent.report.compare import label
 from agent.report.metrics import summarise
 from agent.report.page import _summary
@@ -476,6 +477,24 @@ def test_a_log_that_is_not_complete_says_why_though_every_row_is_there() -> None
     assert said(complete="false", left_end="finished", right_end="open") == (
         "right had not ended when the recorder did",
     )
+
+
+def test_of_a_plant_that_sent_nothing_the_report_says_what_the_recorder_said() -> None:
+    names = ("missing_before", "rows_recorded", "lost_in_ring", "lost_on_the_way", "lost_on_disk")
+
+    def said(member: str, before: int = 0) -> tuple[list[str], list[str]]:
+        """Of a member of which this log has no row: by the recorder, and by the report."""
+        log = small_run()
+        told = dict.fromkeys(names, "0") | {"rows_expected": "0", "rows_before": str(before), "end": "open"}
+        of = {f"{member}.{key}": value for key, value in told.items()}
+        agents = {name: rows for name, rows in log.agents.items() if name != member}
+        lacking = replace(log, agents=agents, gaps=dict.fromkeys((*log.agents, "plant"), ()), complete=False)
+        results = summarise(replace(lacking, plant=None, metadata={"completeness": of}))
+        return listening.missing(of), [text for text in results.missing if member in text]
+
+    assert said("plant") == (["no row of plant came"], ["no row of plant came"])
+    assert said("plant", before=9)[1] == ["plant had not ended when the recorder did"], "it came to the log before"
+    assert said("right")[1] == ["no row of the arm right"], "once"
 
 
 def test_a_mended_log_says_what_was_wrong_with_it() -> None:
