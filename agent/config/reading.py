@@ -143,7 +143,10 @@ def override(document: dict[str, Any], text: str) -> list[str]:
     node: Any = document
     for name in parents:
         if isinstance(node, list):
-            node = next((x for x in node if isinstance(x, dict) and x.get("name") == name), None)
+            named = {x["name"]: x for x in node if isinstance(x, dict) and isinstance(x.get("name"), str)}
+            if named and name not in named:
+                raise _not_an_override(key, " or ".join(named), nearest(name, named) or "name one of these")
+            node = named.get(name)
         else:
             node = node.setdefault(name, {})
         if not isinstance(node, (dict, list)):

@@ -75,6 +75,16 @@ def test_overrides_of_what_is_no_value_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "remedy"), [("lft", "did you mean left?"), ("middle", "name one of these"), ("1", "name one of these")]
+)
+def test_an_arm_that_no_override_finds_is_answered_with_those_that_there_are(name: str, remedy: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        load_cell(PAPER, [f"arms.{name}.load_share=0.4"])
+    key = f"arms.{name}.load_share"
+    assert str(refused.value) == f"override: found '{key}', expected left or right; {remedy}"
+
+
+@pytest.mark.parametrize(
     ("raw", "expected"),
     [
         (b"\xff\xfe", "UTF-8"),
