@@ -149,8 +149,13 @@ def _installed(path: Path) -> bool:
     return shipped in path.resolve().parents and not (shipped.parent / "pyproject.toml").is_file()
 
 
+def is_full(error: OSError) -> bool:
+    """Whether what failed wanted room: on the disk, or of this user there."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
 def _refused(refusal: type[Refusal], path: Path, error: OSError) -> Refusal:
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    full = is_full(error)
     return refusal(
         f"file {path}", found=error.strerror, expected="room for it" if full else "a folder to write it into",
         remedy="make room there, or name another path" if full else "name another path",

@@ -6,7 +6,6 @@ out than a record that was cut at the end, it stays under another name.  A finis
 
 from __future__ import annotations
 
-import errno
 import os
 import time
 import zlib
@@ -19,6 +18,7 @@ from typing import Any, BinaryIO, Final
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
+from agent.atomic import is_full
 from agent.log.chunk import LIBRARY
 from agent.log.file import PROFILE, LogFileError, LogInTheWay
 from agent.log.locks import SUFFIX, alone_with, is_named, is_written
@@ -136,7 +136,7 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool], *, force: boo
             log.with_name(log.name + SUFFIX).replace(log)
             _sync(log.parent, os.O_DIRECTORY)
     except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        full = is_full(error)
         raise LogFileError(
             f"cannot repair {path}", found=error.strerror,
             expected="room for a copy of it" if full else "a folder in which a copy of it can be written",

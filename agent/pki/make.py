@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from agent.atomic import is_full
 from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
 from agent.host.openssl import PkiError, validity
@@ -58,9 +59,7 @@ def make(wish: Wish) -> dict[str, datetime.datetime]:
     try:
         scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))  # mode 0700
     except OSError as error:
-        raise PkiError(
-            f"folder {folder}", found=error.strerror, expected="a folder to make it in", remedy="name another path"
-        ) from error
+        raise _unwritten(folder, error) from error
     try:
         authority = scratch / "authority"
         authority.mkdir(mode=0o700)
@@ -68,8 +67,10 @@ def make(wish: Wish) -> dict[str, datetime.datetime]:
         for member in (RECORDER, *wish.members):
             _member(wish, scratch, member, listening if member == RECORDER else dialled)
         scratch.rename(folder)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(scratch, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise _unwritten(folder, error) from error
         raise
     return ends(folder)
 
@@ -92,14 +93,31 @@ def renew(wish: Wish, names: Sequence[str]) -> dict[str, datetime.datetime]:
             remedy="name the cell that it was made for, or make a folder for this one",
         )  # fmt: skip
     for name in names:
-        with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            part = Path(scratch)
-            leaf = Leaf(common_name(name), hosts(folder / name / "zenoh" / f"{name}.pem"))
-            sign(folder / "authority", part, name, leaf, wish.days)
-            (part / f"{name}.pem").chmod(0o644)
-            (part / f"{name}.key").rename(folder / name / "keys" / f"{name}.pem")
-            (part / f"{name}.pem").rename(folder / name / "zenoh" / f"{name}.pem")
+        try:
+            _renew(folder, name, wish.days)
+        except OSError as error:
+            raise _unwritten(folder, error) from error
     return ends(folder)
+
+
+def _renew(folder: Path, name: str, days: int) -> None:
+    with tempfile.TemporaryDirectory(dir=folder) as scratch:
+        part = Path(scratch)
+        leaf = Leaf(common_name(name), hosts(folder / name / "zenoh" / f"{name}.pem"))
+        sign(folder / "authority", part, name, leaf, days)
+        (part / f"{name}.pem").chmod(0o644)
+        (part / f"{name}.key").rename(folder / name / "keys" / f"{name}.pem")
+        (part / f"{name}.pem").rename(folder / name / "zenoh" / f"{name}.pem")
+
+
+def _unwritten(folder: Path, error: OSError) -> PkiError:
+    """Why the files of a folder cannot be written."""
+    full = is_full(error)
+    return PkiError(
+        f"folder {folder}", found=error.strerror,
+        expected="room for keys and certificates" if full else "a folder that can be written",
+        remedy="make room there, or name another path" if full else "name another path",
+    )  # fmt: skip
 
 
 def ends(folder: Path) -> dict[str, datetime.datetime]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import datetime
+import errno
 import ipaddress
 import json
+import os
 import shutil
 import subprocess
 from dataclasses import replace
@@ -108,6 +110,29 @@ def test_nothing_is_replaced_unasked_and_nothing_is_left_behind(made: Path) -> N
     with pytest.raises(PkiError, match="no authority"):
         renew(Wish(CELL, made / "left"), ["left"])
     assert {path: path.read_bytes() for path in made.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.ENOSPC, "expected room for keys and certificates; make room there, or name another path"),
+        (errno.EROFS, "expected a folder that can be written; name another path"),
+    ],
+)
+def test_a_disk_that_takes_no_more_is_told_with_the_folder(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    folder = shutil.copytree(made, tmp_path / "made")
+    monkeypatch.setattr(Path, "write_bytes", refuse)  # of a member's configuration
+    with pytest.raises(PkiError, match=f"folder {tmp_path}/new: found {os.strerror(number)}, {said}"):
+        make(Wish(CELL, tmp_path / "new"))
+    monkeypatch.setattr(Path, "chmod", refuse)
+    with pytest.raises(PkiError, match=f"folder {folder}: found {os.strerror(number)}, {said}"):
+        renew(Wish(CELL, folder), ["left"])
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
 
 
 def test_what_fails_in_the_middle_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
