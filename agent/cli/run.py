@@ -79,7 +79,9 @@ def _arms_of(hil: str) -> list[str]:
 
 def run(
     cell: CellPath,
-    duration: Annotated[float | None, typer.Option(min=0.0, help="Seconds, instead of the cell's duration.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Seconds, a cycle at least, instead of the cell's duration.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the results (default runs/<UTC>-<cell>).")] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random in the simulated cell.")] = 0,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,

@@ -17,7 +17,7 @@ from agent.process.run_folder import rings_bytes, run_folder
 from agent.process.run_kind import RunKind
 from agent.report.results import Results
 from agent.report.results_file import write_results
-from agent.telemetry.link.session import FREE_PORT
+from agent.telemetry.link.session import FREE_PORT, require_endpoint
 from agent.verify.check import examine
 
 LIFT_M = 0.02  # of a cell without [session] that is asked for a whole one
@@ -105,7 +105,8 @@ def _carry_out(options: RunOptions, cell: Cell, log: Path, stop: StopFlag, progr
 
 
 def _cell_of(options: RunOptions) -> Cell:
-    """The cell as it is to run.  Raises RunError for what it cannot be asked, ConfigError."""
+    """The cell as it is to run.  Raises RunError for what it cannot be asked, EndpointError, ConfigError."""
+    require_endpoint(options.listen)
     if options.faults is not None and not options.kind.has_servos:
         raise RunError(
             "faults", found=f"{options.faults} without --wire", expected="emulated servos", remedy="add --wire"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -20,8 +21,11 @@ from drivers.interface import Refusal
 LOOPBACK: Final = "tcp/127.0.0.1"
 FREE_PORT: Final = f"{LOOPBACK}:0"
 MESSAGE_BYTES_MAX: Final = 1 << 20  # Zenoh's default would let a stranger ask for 1 GiB
+PORT_MAX: Final = 65535
 _PORT_ATTEMPTS: Final = 20
 _VIEWER_TIMEOUT_MS: Final = 3000
+_PLACE: Final = re.compile(r"(tcp|udp|ws)/(\[[^]]+]|[^]/:?#[]+):(?P<port>[0-9]{1,5})([?#].*)?|unixsock-stream/.+")
+_IN_SOURCE: Final = re.compile(r" at /\S+\.rs:[0-9]+\.?")  # where Zenoh found an error, which may stand in another one
 
 _CLOSED: Final[dict[str, Any]] = {
     "scouting/multicast/enabled": False,
@@ -71,6 +75,12 @@ class NetworkError(Refusal):
     exit_code = 4
 
 
+class EndpointError(NetworkError):
+    """Somebody is to listen where nobody can; nothing was opened."""
+
+    exit_code = 2
+
+
 @dataclass(frozen=True, slots=True)
 class Network:
     """Where to listen and connect; a configuration file (TLS, access control) replaces all of it."""
@@ -89,6 +99,16 @@ class OpenSession:
 
     session: zenoh.Session
     endpoint: str | None  # None: it listens nowhere, or where its file says
+
+
+def require_endpoint(listen: str) -> None:
+    """Raise EndpointError for what is no place to listen at, whether it is free or not."""
+    found = _PLACE.fullmatch(listen)
+    if found is None or int(found["port"] or 0) > PORT_MAX:
+        raise EndpointError(
+            "endpoint to listen at", found=repr(listen), expected=f"like tcp/127.0.0.1:7448, port 0 to {PORT_MAX}",
+            remedy="correct it; port 0 takes a free one",
+        )  # fmt: skip
 
 
 @contextmanager
@@ -115,6 +135,8 @@ def _open(network: Network) -> OpenSession:
     if network.config_file is not None:
         file = network.config_file
         return OpenSession(_try_open(_from_file(file), f"configuration {file}", _FREE_OR_SERVED), None)
+    if network.listen is not None:
+        require_endpoint(network.listen)
     if network.listen is None or not network.listen.endswith(":0"):
         where = network.listen or " ".join(network.connect) or "no endpoint"
         wanted = _SERVED if network.role is Role.VIEWER else _FREE
@@ -136,7 +158,7 @@ def _try_open(config: zenoh.Config, what: str, wanted: Mapping[str, str]) -> zen
     except zenoh.ZError as error:
         raise NetworkError(
             f"cannot open the network at {what}",
-            found=str(error).split(" at ")[0],
+            found=_IN_SOURCE.sub("", str(error)),
             **wanted,
         ) from error
 
@@ -147,7 +169,7 @@ def _from_file(path: Path) -> zenoh.Config:
     except zenoh.ZError as error:
         raise NetworkError(
             f"Zenoh configuration {path}",
-            found=str(error).split(" at ")[0],
+            found=_IN_SOURCE.sub("", str(error)),
             expected="a file in Zenoh's JSON5 with known keys only",
             remedy="correct it; the shipped examples show the keys that work",
         ) from error

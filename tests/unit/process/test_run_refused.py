@@ -26,6 +26,19 @@ def test_a_run_of_no_cycle_is_refused(duration_s: float) -> None:
         _cell_of(options(duration_s))
 
 
+def test_a_run_whose_recorder_could_listen_nowhere_is_refused_and_leaves_no_folder(tmp_path: Path) -> None:
+    done = coop("run", "paper", "--duration", 1, "--listen", "foo", cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "endpoint to listen at: found 'foo', expected like tcp/127.0.0.1:7448" in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_help_of_a_run_promises_no_length_that_is_refused() -> None:
+    (said,) = (line for line in coop("run", "--help").out.splitlines() if "--duration" in line)
+    assert "a cycle at least" in said
+    assert "x>=0" not in said
+
+
 def test_a_run_of_one_cycle_is_none_too_short() -> None:
     assert _cell_of(options(0.003)).file.duration_s == 0.003
 
