@@ -22,6 +22,11 @@ _CHRONY_FIELDS = 14  # of `chronyc -c tracking`
 _SYSTEM_TIME, _ROOT_DELAY, _ROOT_DISPERSION, _LEAP_STATUS = 4, 10, 11, 13
 
 
+def bound_text(error_s: float) -> str:
+    """By how much a clock may be off, in the unit that a person reads."""
+    return f"{error_s:.3g} s" if error_s >= 1.0 else f"{error_s * 1e3:.3g} ms"
+
+
 @dataclass(frozen=True, slots=True)
 class ClockState:
     """What is known of the clock of this host."""
@@ -35,9 +40,7 @@ class ClockState:
         known = "synchronised" if self.synchronised else "not synchronised"
         if math.isinf(self.max_error_s):
             return f"{known}, error not known"
-        large = self.max_error_s >= 1.0
-        error = f"{self.max_error_s:.3g} s" if large else f"{self.max_error_s * 1e3:.3g} ms"
-        return f"{known}, error at most {error}"
+        return f"{known}, error at most {bound_text(self.max_error_s)}"
 
     def encode(self, utc_ns: int) -> bytes:
         """As the file that `read_file` reads."""

@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from enum import Enum
 from typing import Any
 
+from agent.host.clock import bound_text
+
 WIDTH_REASON = 60  # of a table that is shown again and again; elsewhere a reason is whole, for its remedy is at its end
 HANGS_S = 1.0  # without a row, of an arm that is asked nothing
 ENDED, STARTING, HUNG, DEAD, NONE = "ENDED", "STARTING", "HUNG", "DEAD", "NONE"
@@ -102,7 +104,9 @@ def _servos(servos: Mapping[str, Any] | None) -> str:
         return ""
     volts = f", {servos['min_V']:.1f} V" if servos["min_V"] is not None else ""
     grip = servos.get("grip")
-    gripper = f", grip {grip['width_m'] * 1e3:.1f} mm {grip['force_N']:.0f} N" if grip else ""
+    gripper = f", grip {grip['width_m'] * 1e3:.1f} mm" if grip else ""
+    if grip and grip["force_N"] is not None:
+        gripper += f" {grip['force_N']:z.0f} N"  # no -0
     return f"{servos['max_C']:.0f} °C {servos['joint']}{volts}{gripper}"
 
 
@@ -123,7 +127,7 @@ def _guard(guard: Any) -> str:
 def _host(document: Mapping[str, Any]) -> Line:
     clock, recorder = document["clock"], document["recorder"]
     error_s = clock["max_error_s"]
-    bound = "error not known" if error_s is None else f"error ≤ {error_s * 1e3:.3g} ms"
+    bound = "error not known" if error_s is None else f"error ≤ {bound_text(error_s)}"
     told = f"clock {'synchronised' if clock['synchronised'] else 'not synchronised'}, {bound}"
     if recorder["alive"]:
         size = "" if recorder["log_bytes"] is None else f", {recorder['log']} {recorder['log_bytes'] / 1e6:.1f} MB"

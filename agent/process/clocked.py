@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from agent.config.cell import Arm, Cell
-from agent.host.clock import STATE_FILE, ClockState, read_file, read_kernel
+from agent.host.clock import STATE_FILE, ClockState, bound_text, read_file, read_kernel
 from agent.operator.local import CLOCK_MAX_S
 
 DRIFT = 1e-4  # of a clock that nobody corrects: 100 ppm
@@ -63,4 +63,4 @@ class ClockWatch:
         if state.synchronised and state.max_error_s < self.bound_s:
             self._known_s, self._known_ns = state.max_error_s, self._now_ns()
         if self._started and not self.bound_s <= CLOCK_MAX_S:
-            self._hold(f"the clock may be off by {self.bound_s * 1e3:.3g} ms, {CLOCK_MAX_S * 1e3:g} ms are allowed")
+            self._hold(f"the clock may be off by {bound_text(self.bound_s)}, {CLOCK_MAX_S * 1e3:g} ms are allowed")

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Protocol
 
+from agent.host.clock import bound_text
 from agent.host.signals import StopFlag
 from agent.modes import Event, Mode
 from agent.operator.message import Request
@@ -171,7 +172,7 @@ class Operator:
         bound_s = given.clock_bound_s
         if self.clock is not None:
             self.clock.given(bound_s)
-        clock = "not synchronised" if bound_s is None else f"off by at most {bound_s * 1e3:.3g} ms"
+        clock = "not synchronised" if bound_s is None else f"off by at most {bound_text(bound_s)}"
         data = {} if bound_s is None else {"clock_bound_s": bound_s}
         self._tell(Level.INFO, f"start given: {instant:%H:%M:%S.%f} UTC, clock {clock}", **data)
 

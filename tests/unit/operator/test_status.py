@@ -357,3 +357,19 @@ def test_what_the_recorder_left_out_is_said_and_is_not_good(monkeypatch: pytest.
         monkeypatch.setattr("agent.operator.status.recorder", lambda *_, found=left_out: {**quiet, "left_out": found})
         shown = lines(status(CELL, CLOCK, logs=()))[-1]
         assert (shown.tone, shown.rest) == (tone, f"clock synchronised, error ≤ 0.25 ms; recorder in runs{said}")
+
+
+@pytest.mark.parametrize(("error_s", "said"), [(2.5e-4, "0.25 ms"), (0.9994, "999 ms"), (1.0, "1 s"), (16.0, "16 s")])
+def test_a_clock_that_may_be_off_by_long_is_told_in_seconds(living: Arm, error_s: float, said: str) -> None:
+    shown = lines(status(CELL, ClockState(synchronised=False, max_error_s=error_s), logs=()))[-1]
+    assert shown.rest.startswith(f"clock not synchronised, error ≤ {said}; ")
+
+
+@pytest.mark.parametrize(("force_N", "said"), [(8.3, " 8 N"), (-0.4, " 0 N"), (-1.0, " -1 N"), (None, "")])
+def test_a_gripper_that_presses_on_nothing_has_no_negative_zero_of_force(
+    living: Arm, force_N: float | None, said: str
+) -> None:
+    document = status(CELL, CLOCK, logs=())
+    of(document, "left")["servos"]["grip"] |= {"width_m": 0.039, "force_N": force_N}
+    (shown,) = (line for line in lines(document) if line.head.startswith("left"))
+    assert f"V, grip 39.0 mm{said}; " in shown.rest
