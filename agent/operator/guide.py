@@ -56,8 +56,8 @@ STEPS: Final[Mapping[Mode, Step]] = MappingProxyType({
     Mode.HALT: Step("the arm was stopped on its way and stands", "coop park CELL or coop approach CELL", ""),
     Mode.FAULT: Step(
         "the arm does not obey",
-        "support it and what it holds; lead the others back; once it has its supply again, fold it into its rest by "
-        "hand and start its agent again", "",
+        "support it, and the object if it holds it; lead the others back; once it has its supply again, fold it into "
+        "its rest by hand and start its agent again", "",
     ),
 })  # fmt: skip
 
@@ -86,7 +86,7 @@ class _Way:
     going_back: Mapping[Mode, str]  # beside one that is gone, does not obey, or cannot be started
     set_down: str  # behind a stop, where one moves what another holds
     begin: str  # an arm that was never there, or has ended in order
-    lost: str  # one that died where it was; with a place for what the others do first
+    lost: str  # one that died where it was; with places for what to support, and for what the others do first
     others_first: str
 
 
@@ -104,7 +104,7 @@ _IN_SESSION = _Way(
     },
     set_down="coop lower CELL sets the object down",
     begin="bring it to its rest by hand and start its agent",
-    lost="support it and what it holds; {}then fold it into its rest by hand and start its agent",
+    lost="{}; {}then fold it into its rest by hand and start its agent",
     others_first="lead the others back; ",
 )
 _HELD = _Way(
@@ -113,7 +113,7 @@ _HELD = _Way(
     going_back={Mode.READY: f"coop stop CELL; {_SUPPORT}"},
     set_down="support the object and coop release CELL",
     begin="start its agent",
-    lost="support it and what it holds; {}then start its agent",
+    lost="{}; {}then start its agent",
     others_first="stop and release the others; ",
 )
 _HELD_BRIEFLY = replace(  # of agents that let go where they are stopped
@@ -123,8 +123,9 @@ _HELD_BRIEFLY = replace(  # of agents that let go where they are stopped
     others_first="stop the others; ",
 )
 _CARRIES = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
+_EMPTY = frozenset({Mode.REST, Mode.APPROACH, Mode.PARK, Mode.HALT})  # it holds nothing
 _STAYS = frozenset({Mode.READY, Mode.HOLD})
-_DEAF = "support it and what it holds: no word reaches it; its log says why, then end its process"
+_DEAF = "{}: no word reaches it; its log says why, then end its process"
 _WAIT = "wait until it answers"
 _STOPS = "what moves stops, what holds the object goes on holding it"
 _ALL_LET_GO = "coop stop CELL: the arms stop for a moment, then let go and end"
@@ -215,11 +216,20 @@ def _begin_again(way: _Way, head: str, last: str | None, *, others: bool) -> str
     """What to do with an arm that hears nothing, by how it is and its last mode; others: some hear."""
     if head == STARTING:
         return _WAIT
+    support = _to_support(last)
     if head == HUNG:
-        return _DEAF
+        return _DEAF.format(support)
     if head == NONE or (head == ENDED and last != Mode.FAULT.name):
         return way.begin
-    return way.lost.format(way.others_first if others else "")
+    return way.lost.format(support, way.others_first if others else "")
+
+
+def _to_support(last: str | None) -> str:
+    """What a hand is put under, of an arm whose mode was the last that is known."""
+    mode = Mode.__members__.get(last or "")
+    if mode in _EMPTY:
+        return "support it"
+    return "support it, and the object if it holds it" if mode is Mode.FAULT else "support it and what it holds"
 
 
 def _to(text: str, arms: Sequence[str]) -> str:

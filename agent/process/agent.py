@@ -52,8 +52,8 @@ from sim_backend.hil.driver import BridgeDriver
 CLOCK_S = 1.0
 LOOK_S = 0.02  # from one look for a guard or plant that starts beside this process to the next
 LOST_REMEDY = (
-    "support it and what it holds, lead the others back; once it has its supply again, fold it into its rest by hand "
-    "and start its agent again"
+    "support it, and the object if it holds it, lead the others back; once it has its supply again, fold it into its "
+    "rest by hand and start its agent again"
 )
 
 

@@ -145,7 +145,10 @@ APART: dict[str, tuple[list[dict[str, Any]], list[str]]] = {
     ),
     "one was never there, one ended without its arm": (
         [silent("left", "FAULT", ended=True), silent("right", None)],
-        [LOST.replace("lead the others back; ", ""), f"next for right: {BEGIN}"],
+        [
+            LOST.replace(" and what it holds; lead the others back; ", ", and the object if it holds it; "),
+            f"next for right: {BEGIN}",
+        ],
     ),
 }
 
@@ -270,3 +273,19 @@ def test_arms_that_let_go_at_a_stop_are_not_said_to_hold_after_one() -> None:
     assert lines(unlike, "c")[2:] == [
         f"{STOPS} (right: let go and end)", "next: coop stop c; then support the object and coop release c"
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("mode", "support"),
+    [
+        *((mode, "support it") for mode in ("REST", "APPROACH", "PARK", "HALT")),
+        *((mode, "support it and what it holds") for mode in ("GRASP", "READY", "TRACK", "HOLD", "LOWER", "RELEASE")),
+        ("FAULT", "support it, and the object if it holds it"),
+    ],
+)
+def test_of_an_arm_that_held_nothing_nobody_is_to_support_what_it_holds(mode: str, support: str) -> None:
+    assert lines([silent("left", mode)], "c")[-1] == (
+        f"next for left: {support}; then fold it into its rest by hand and start its agent"
+    )
+    hung = lines([silent("left", mode, alive=True)], "c")[-1]
+    assert hung == f"next for left: {support}: no word reaches it; its log says why, then end its process"
