@@ -17,6 +17,7 @@ from agent.telemetry.link.publication import PublishReport
 from agent.telemetry.link.record import RecordReport
 from agent.telemetry.link.session import FREE_PORT
 from agent.telemetry.link.wire import End
+from tests.support.documents import ROOT
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 LOG, LAST = Path("run.mcap"), Path("run_2.mcap")
@@ -95,6 +96,31 @@ def test_a_recorder_says_why_its_log_is_not_complete(
     )  # fmt: skip
     assert record(command, Listener(words.append)) == code
     assert words[-1] == f"{LAST}: INCOMPLETE: {why}", "the log that the figures are of"
+
+
+@pytest.mark.parametrize(
+    ("driver", "truth", "waits"),
+    [(None, False, True), (DriverKind.DYNAMIXEL, False, False), (DriverKind.DYNAMIXEL, True, True)],
+)
+def test_a_recorder_of_emulated_servos_waits_for_a_plant_as_the_page_says(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, driver: DriverKind | None, truth: bool, waits: bool
+) -> None:
+    asked = list[bool]()
+    monkeypatch.setattr("agent.process.listening.begin", lambda *_, **__: lambda: False)
+
+    def run(*_: object, has_plant: bool, **__: object) -> RecordReport:
+        asked.append(has_plant)
+        return RecordReport(LOG, True, None, {}, (), (), (LOG,))
+
+    monkeypatch.setattr(recorders, "run_recorder", run)
+    (tmp_path / "run.json").write_bytes(b"{}")
+    command = RecordCommand(
+        cell=PAPER, out=LOG, listen=FREE_PORT, driver=driver, truth=truth, seed=0, run_info=tmp_path / "run.json"
+    )
+    assert record(command, Listener([].append)) == 0
+    assert asked == [waits]
+    page = " ".join((ROOT / "docs/commands.md").read_text().split())
+    assert "recorder is `coop record CELL --driver dynamixel`, with `--truth` and `coop telemetry CELL --member" in page
 
 
 def test_of_what_is_whole_nothing_is_missing() -> None:
