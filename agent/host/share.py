@@ -24,20 +24,25 @@ class Cores(NamedTuple):
 
 
 def share_out(arms: int, allowed: Collection[int]) -> Cores:
-    """Share out the allowed cores: one for each arm, in turn; without one to spare, also for plant and listeners.
+    """Share out the allowed cores: one for each arm; without one to spare, arms take turns and the plant has its own.
 
-    The plant goes to the core with the fewest arms, and the listeners to the others: it takes turns with the arm beside
-    it, so that this core has no time left, while an arm on another core waits for both.
+    A tick of the plant costs as much as those of half of its arms.  Each arm goes where the least is to do, and not to
+    the plant while another core has no more: the plant computes on while they answer, and none of them wakes it.
+    Telemetry and recorder are free, and take what is left on any core.
     """
     cores = sorted(allowed)
     every = frozenset(cores)
     if len(cores) < 2:
         return Cores((every,) * arms, every, every)
-    kept = tuple(cores[i % len(cores)] for i in range(arms))
     if len(cores) > arms:
-        return Cores(tuple(frozenset({core}) for core in kept), every, every)
-    plant = frozenset({min(cores, key=kept.count)})
-    return Cores(tuple(frozenset({core}) for core in kept), plant, every - plant)
+        return Cores(tuple(frozenset({core}) for core in cores[:arms]), every, every)
+    plant, *others = cores
+    to_do = dict.fromkeys(others, 0.0) | {plant: 0.5 * arms}
+    kept = []
+    for _ in range(arms):
+        kept.append(min(to_do, key=to_do.__getitem__))  # of equals the first, which is not the plant's
+        to_do[kept[-1]] += 1.0
+    return Cores(tuple(frozenset({core}) for core in kept), frozenset({plant}), every)
 
 
 def keep_to(pid: int, cores: frozenset[int]) -> None:
