@@ -10,6 +10,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -89,8 +90,10 @@ class LogFile:
         try:
             self._write_head(attachments, metadata, created_ns)
         except OSError as error:
-            os.close(self._fd)
-            path.unlink(missing_ok=True)
+            with suppress(OSError):  # the first error is what is told
+                os.close(self._fd)
+            with suppress(OSError):
+                path.unlink()
             raise _cannot_write(path, error) from error
         self._syncer = Syncer(self._fd)
 
@@ -197,14 +200,18 @@ class LogFile:
         self._unsafe.clear()
 
     def _fail(self, error: OSError) -> None:
-        """Cut the file back to its last complete record and give it up; what is there stays readable."""
+        """Cut the file back to its last complete record, where the disk lets it, and give it up."""
         self.failure = error.strerror or str(error)
         self._open = False
         self.lost += self._unsafe
-        self._syncer.stop()
-        self.removed = not has_a_name(self._fd, self.path)
-        os.ftruncate(self._fd, self._sink.good)
-        os.close(self._fd)
+        with suppress(OSError):
+            self._syncer.stop()
+        with suppress(OSError):  # of a disk that is gone nothing can be asked, and what it has stays as it is
+            self.removed = not has_a_name(self._fd, self.path)
+        with suppress(OSError):
+            os.ftruncate(self._fd, self._sink.good)
+        with suppress(OSError):  # closed even where it says that it could not write
+            os.close(self._fd)
 
 
 def require_no_log(path: Path) -> None:

@@ -7,7 +7,7 @@ import os
 import resource
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -184,6 +184,53 @@ def test_a_disk_that_is_gone_is_noticed_at_the_next_sync(tmp_path: Path, monkeyp
     maker.flush()
     assert maker.file.failure == "Input/output error"
     assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EIO])
+@pytest.mark.fault("D3")
+def test_a_disk_that_refuses_every_call_ends_the_file_raises_nothing_and_leaves_no_descriptor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    before = set(Path("/proc/self/fd").iterdir()), threading.active_count()
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
+    maker.write("left", make_rows("left", 10))
+    maker.flush()
+    descriptor = maker.file._fd
+
+    def refusing(real: Callable[..., object]) -> Callable[..., object]:
+        def call(fd: int, *rest: object) -> object:
+            if fd == descriptor:
+                raise OSError(number, os.strerror(number))
+            return real(fd, *rest)
+
+        return call
+
+    maker.write("left", make_rows("left", 30)[10:])
+    with monkeypatch.context() as gone:
+        for name in ("write", "fstat", "ftruncate", "fsync"):
+            gone.setattr(os, name, refusing(getattr(os, name)))
+        maker.flush()
+        assert maker.file.failure == os.strerror(number)
+        assert not maker.finish()
+    assert maker.channels.rows_lost()["left"] == 20
+    assert (set(Path("/proc/self/fd").iterdir()), threading.active_count()) == before
+    assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
+
+
+@pytest.mark.fault("D3")
+def test_a_log_that_cannot_be_begun_on_a_dead_disk_is_refused_with_the_first_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = set(Path("/proc/self/fd").iterdir())
+
+    def broken(*_: object, **__: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr("os.fsync", broken)
+    monkeypatch.setattr(Path, "unlink", broken)
+    with pytest.raises(LogFileError, match="Input/output error"):
+        create(tmp_path / "run.mcap")
+    assert set(Path("/proc/self/fd").iterdir()) == before
 
 
 def test_no_descriptor_and_no_thread_is_left(tmp_path: Path) -> None:
