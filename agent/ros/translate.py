@@ -17,7 +17,7 @@ from agent.log.scene import Scene
 from agent.log.standard import StandardTopic
 from agent.ros.wire import Topic
 from agent.telemetry.link.wire import BatchHeader
-from agent.telemetry.row.event import Event
+from agent.telemetry.row.event import UTC_END_NS, Event
 from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
 from agent.telemetry.row.topics import PLANT, PUBLISHED, Address, Kind
@@ -118,6 +118,8 @@ class Translator:
             raise ValueError("rows of another cell file")
         if member.joints is not None and (rows["joint_count"] != member.joints).any():
             raise ValueError("rows of another arm")
+        if (rows["utc_ns"] >= UTC_END_NS).any():  # and it would be newer than all that follows
+            raise ValueError("rows of a time that no stamp can have")
         newer = rows["utc_ns"] > member.utc_ns
         if not newer.all():
             rows = rows[newer]  # sent again, or of a run before this one

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from agent.telemetry.link.stream import Stream
 from agent.telemetry.link.wire import BatchHeader, End, seal_of
-from agent.telemetry.row.event import Event, health_time
+from agent.telemetry.row.event import UTC_END_NS, Event, ImpossibleTimeError, health_time
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
 from agent.telemetry.row.topics import PLANT, PUBLISHED, Address, Kind
@@ -38,6 +38,7 @@ class Rejection(Enum):
     DAMAGED = "damaged"  # not what was sent; it is sent again
     WRONG_CONFIG = "wrong_config_id"
     WRONG_JOINTS = "wrong_joint_count"
+    IMPOSSIBLE_TIME = "impossible_time"  # that no stamp of a message can have
     WRONG_ORDER = "wrong_order"
     ANOTHER_PUBLISHER = "another_publisher"  # while the run that is being recorded goes on
     ANOTHER_RUN = "another_run"  # a ring of the same member from an earlier start
@@ -126,7 +127,9 @@ class Intake:
         for name, value, why in self._constants[member]:
             if rows[name].tolist().count(value) != len(rows):  # a quarter of what comparing the array costs
                 return why
-        return None
+        times: list[int] = rows["utc_ns"].tolist()
+        possible = not times or 0 <= min(times) <= max(times) < UTC_END_NS
+        return None if possible else Rejection.IMPOSSIBLE_TIME
 
     def _turn(self, stream: Stream, source: int, now_s: float) -> bool:
         """Whether the rows of another source than the present one go into this log from now on."""
@@ -153,6 +156,8 @@ class Intake:
         try:
             event = Event.from_json(payload) if stream.address.kind is Kind.EVENT else None
             utc_ns = event.utc_ns if event is not None else health_time(payload)
+        except ImpossibleTimeError:
+            return self._reject(Rejection.IMPOSSIBLE_TIME)
         except ValueError:
             return self._reject(Rejection.NOT_A_TEXT)
         if stream.here >= TEXTS_MAX:

@@ -9,7 +9,12 @@ from enum import IntEnum
 from typing import Any, Final
 
 TEXT_MAX_BYTES: Final = 1000
+UTC_END_NS: Final = (1 << 32) * 1_000_000_000  # what comes later fits no stamp of ROS, which has 32 bits of seconds
 HOLDS: Final = "holds: "  # before the reason in what an arm tells when it holds by itself
+
+
+class ImpossibleTimeError(ValueError):
+    """A UTC that no stamp of a message can have."""
 
 
 class Level(IntEnum):
@@ -69,9 +74,11 @@ def health_time(payload: bytes) -> int:
 
 
 def check_time(utc_ns: object) -> int:
-    """The same when it can be a UTC in ns.  Raises ValueError."""
-    if type(utc_ns) is not int or not 0 <= utc_ns < 1 << 63:
+    """The same when it can be a UTC in ns.  Raises ValueError, of a number ImpossibleTimeError."""
+    if type(utc_ns) is not int:
         raise ValueError("utc_ns is not a time")
+    if not 0 <= utc_ns < UTC_END_NS:
+        raise ImpossibleTimeError("utc_ns is not a time of a stamp")
     return utc_ns
 
 

@@ -8,7 +8,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from agent.ros.translate import Translator
 from agent.telemetry.link.wire import BatchHeader
-from agent.telemetry.row.event import Event, Level, encode
+from agent.telemetry.row.event import UTC_END_NS, Event, Level, encode
 from agent.telemetry.row.topics import PLANT, Address, Kind
 from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, SERVOS, UTC_0_NS, make_rows
@@ -88,6 +88,11 @@ def test_what_is_not_of_this_cell_is_counted_and_told_nobody() -> None:
     assert list(to.take(key, rows.tobytes(), b"no header")) == []
     assert list(to.take(f"coop/{CELL}/stranger/state", rows.tobytes(), b"")) == []
     assert to.refused == 4
+    far_away = rows.copy()
+    far_away["utc_ns"][1] = UTC_END_NS
+    assert send(to, "left", far_away) == []
+    assert to.refused == 5
+    assert send(to, "left", rows) != [], "what was refused is not newer than what follows"
 
 
 def test_an_event_is_told_once() -> None:

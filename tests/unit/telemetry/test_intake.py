@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.log.read import read_log
 from agent.telemetry.link.intake import Intake, Rejection
 from agent.telemetry.link.stream import SILENT_S
 from agent.telemetry.link.wire import (
@@ -21,10 +23,11 @@ from agent.telemetry.link.wire import (
     seal_of,
     unpack_status,
 )
-from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.event import UTC_END_NS, Event, Level, encode
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.topics import PLANT, Address, Kind
-from tests.support.telemetry.telemetry_cell import CELL, CONFIG_ID, layout_of, make_rows
+from tests.support.telemetry.log_maker import LogMaker
+from tests.support.telemetry.telemetry_cell import CELL, CONFIG_ID, SERVOS, layout_of, make_rows
 
 KEY = Address(CELL, "left", Kind.STATE).key
 RING = 77
@@ -70,6 +73,10 @@ def damaged(field: str, value: int) -> bytes:
     return rows.tobytes()
 
 
+def told_at(utc_ns: int) -> bytes:
+    return Event(utc_ns, "left", Level.INFO, "HOLD").to_json()
+
+
 GOOD = make_rows("left", 4).tobytes()
 
 
@@ -95,12 +102,18 @@ GOOD = make_rows("left", 4).tobytes()
         (KEY, damaged("sigma_min", 1), BatchHeader(RING, 0, 4, 0).pack(sent(), GOOD), Rejection.DAMAGED),
         (KEY, damaged("config_id", 1), header(0, 4), Rejection.WRONG_CONFIG),
         (KEY, damaged("joint_count", 7), header(0, 4), Rejection.WRONG_JOINTS),
+        (KEY, damaged("utc_ns", -1), header(0, 4), Rejection.IMPOSSIBLE_TIME),
+        (KEY, damaged("utc_ns", UTC_END_NS), header(0, 4), Rejection.IMPOSSIBLE_TIME),
         (KEY, damaged("sequence", 1), header(0, 4), Rejection.WRONG_ORDER),
         (KEY, GOOD, header(0, 3), Rejection.WRONG_ORDER),
         (KEY, make_rows(PLANT, 45).tobytes(), header(0, 45), Rejection.WRONG_LENGTH),
         ("coop/paper/left/event", b"{}", header(0, 1), Rejection.NOT_A_TEXT),
         ("coop/paper/left/health", b"[1]", header(0, 1), Rejection.NOT_A_TEXT),
         ("coop/paper/left/event", b"", header(0, 1), Rejection.WRONG_LENGTH),
+        ("coop/paper/left/event", told_at(-1), header(0, 1), Rejection.IMPOSSIBLE_TIME),
+        ("coop/paper/left/event", told_at(UTC_END_NS), header(0, 1), Rejection.IMPOSSIBLE_TIME),
+        ("coop/paper/left/health", b'{"utc_ns": -1}', header(0, 1), Rejection.IMPOSSIBLE_TIME),
+        ("coop/paper/left/health", b'{"utc_ns": %d}' % UTC_END_NS, header(0, 1), Rejection.IMPOSSIBLE_TIME),
     ],
 )
 def test_what_does_not_belong_is_counted_and_left_out(
@@ -111,6 +124,22 @@ def test_what_does_not_belong_is_counted_and_left_out(
     assert dict(door.rejected) == {why: 1}
     assert all(stream.have.count == 0 and not stream.source for stream in door.streams.values())
     assert door.completeness({})["left.refused"] == str(int(key in door.streams))
+
+
+@pytest.mark.parametrize("utc_ns", [0, UTC_END_NS - 1])
+def test_what_the_door_lets_in_the_log_takes_at_the_ends_of_time_too(tmp_path: Path, utc_ns: int) -> None:
+    door, maker, rows = intake(), LogMaker(tmp_path / "run.mcap"), make_rows("left", 4)
+    rows["utc_ns"][2] = utc_ns
+    for item in door.take(KEY, rows.tobytes(), header(0, 4)):
+        maker.channels.write_rows(item)
+    for kind, text in ((Kind.EVENT, told_at(utc_ns)), (Kind.HEALTH, encode({"utc_ns": utc_ns, **SERVOS}))):
+        for item in door.take(Address(CELL, "left", kind).key, text, header(0, 1)):
+            maker.channels.write_text(item)
+    assert maker.finish()
+    assert not door.rejected
+    log = read_log(tmp_path / "run.mcap")
+    assert log.agents["left"].tobytes() == rows.tobytes()
+    assert [event.utc_ns for event in log.events] == [utc_ns]
 
 
 @given(st.binary(max_size=200), st.binary(max_size=60), st.sampled_from([KEY, "coop/paper/left/event", "x"]))
