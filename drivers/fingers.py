@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Fingers:
-    """Geometry of a gripper, and the angles between which it works."""
+    """Geometry of a gripper, and the angles between which it works; rods are longer than the radius of the horn."""
 
     horn_radius_m: float
     rod_length_m: float

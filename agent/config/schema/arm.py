@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import AfterValidator, Field, model_validator
 
-from agent.config.schema.types import AS_LIST, Angle, FileStem, Format, Label, Length, Strict, nearest, wrong
+from agent.config.schema.types import AS_LIST, Angle, FileStem, Format, Label, Strict, nearest, wrong
 from drivers.dynamixel.servo.codes import BAUD_RATES, MAX_ID
+from drivers.dynamixel.servo.counts import TICK_RAD, TICKS_PER_TURN
 from drivers.dynamixel.servo.models import SERVOS
 
 PROTOCOLS = (1.0, 2.0)
@@ -40,6 +42,7 @@ def _known_protocol(protocol: float) -> float:
 
 Baud = Annotated[int, AfterValidator(known_baud)]
 Tick = Annotated[int, Field(ge=0, le=LAST_TICK)]
+PartLength = Annotated[float, Field(ge=1e-3, le=1.0)]  # m, of a part of a gripper
 ServoId = Annotated[int, Field(ge=0, le=MAX_ID)]
 
 
@@ -127,6 +130,8 @@ class ServoJoint(Servos):
         return self
 
 
+ROD_MIN = 1.01  # times the radius of the horn that it is pushed by
+LEVER_MIN = 1e-3  # of the radius of a gripper's horn, at either end of its way
 GRIP_KEYS = ("closed_tick", "open_tick", "horn_radius_m", "rod_length_m", "grip_effort")
 
 
@@ -135,8 +140,8 @@ class GripperJoint(Servos):
 
     closed_tick: Tick | None = None
     open_tick: Tick | None = None
-    horn_radius_m: Length | None = None
-    rod_length_m: Length | None = None
+    horn_radius_m: PartLength | None = None
+    rod_length_m: PartLength | None = None
     grip_effort: PositiveFigure | None = None  # share of full voltage or current with which it closes and keeps closed
     pad_friction: PositiveFigure | None = None  # coefficient between finger and object
 
@@ -149,6 +154,36 @@ class GripperJoint(Servos):
     def missing(self) -> tuple[str, ...]:
         """Keys without which nobody can close it on an object and know that it has."""
         return tuple(key for key in GRIP_KEYS if getattr(self, key) is None)
+
+    @model_validator(mode="after")
+    def _fingers_go_all_the_way(self) -> GripperJoint:
+        horn, rod = self.horn_radius_m, self.rod_length_m
+        if horn is not None and rod is not None and rod < ROD_MIN * horn:
+            raise wrong(
+                "rod_length_m",
+                found=f"{rod} m beside horn_radius_m of {horn} m",
+                expected=f"a rod longer than the radius of the horn, {ROD_MIN} times at least",
+                remedy="measure both from pin to pin: a shorter rod would stop the horn",
+            )
+        if self.closed_tick is not None and self.open_tick is not None:
+            self._require_opening(self.closed_tick - self.zero_tick, self.open_tick - self.zero_tick)
+        return self
+
+    @staticmethod
+    def _require_opening(closed: int, opened: int) -> None:
+        """See that the fingers go apart all the way; ticks of the horn from where it stands across their way.
+
+        They do as long as it does not pass ±90°, where it points along their way; beyond, with ticks that go down.
+        """
+        stroke, half_turn = opened - closed, TICKS_PER_TURN // 2
+        levers = [math.copysign(1.0, stroke) * math.cos(ticks * TICK_RAD) for ticks in (closed, opened)]
+        if not 0 < abs(stroke) < half_turn or min(levers) < LEVER_MIN:
+            raise wrong(
+                "open_tick",
+                found=f"{opened:+d} ticks from zero_tick, where closed_tick is {closed:+d}",
+                expected="fingers that go apart all the way from closed to open, and a horn that does not pass ±90°",
+                remedy="read both positions in `coop motors scan`, fingers shut and wide open, and look at zero_tick",
+            )
 
 
 class ArmFile(Strict):

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -110,7 +111,9 @@ def test_what_is_not_changed_passes(folder: Path) -> None:
 def test_changed_files_give_a_result_or_a_refusal(folder: Path, data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(sorted(TEXTS_OF_CELLS)), label="cell")
     text, wired = TEXTS_OF_CELLS[name], data.draw(st.sampled_from([None, True]))
-    what = data.draw(st.sampled_from(["cell", "cell", "csv"] if name == "file" else ["cell", "cell", "arm", "urdf"]))
+    what = data.draw(
+        st.sampled_from(["cell", "cell", "csv"] if name == "file" else ["cell", "cell", "arm", "gripper", "urdf"])
+    )
     cell, way = folder / "cell.toml", folder / "way.csv"
     if what in {"cell", "csv"}:
         cell.write_bytes(_changed(data, text) if what == "cell" else text.encode())
@@ -120,11 +123,15 @@ def test_changed_files_give_a_result_or_a_refusal(folder: Path, data: st.DataObj
         return
     model = data.draw(st.sampled_from(sorted({arm["model"] for arm in tomllib.loads(text)["arms"]})), label="arm")
     shipped = configs.ARMS_DIR / f"{model}.toml"
-    target = folder / "arms" / (shipped.name if what == "arm" else tomllib.loads(shipped.read_text())["urdf"])
+    target = folder / "arms" / (shipped.name if what != "urdf" else tomllib.loads(shipped.read_text())["urdf"])
     original = target.read_bytes()
     try:
         if what == "arm":
             target.write_bytes(_changed(data, original.decode()))
+        elif what == "gripper":  # of an arm file it is one table of many, and what its values say they say together
+            arm = tomllib.loads(original.decode())
+            changed = tomllib.loads(changed_document(data, arm["gripper"]).decode())
+            target.write_bytes(tomli_w.dumps(arm | {"gripper": changed}).encode())
         else:
             target.write_bytes(spliced(data, original.decode(), URDF_SPLICES))
         result_or_refusal(lambda: cell_from_toml(text.encode(), name, folder / "arms"), wired)

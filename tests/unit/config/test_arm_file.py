@@ -11,6 +11,7 @@ import pytest
 import configs
 from agent.config.cell import Cell, ConfigError, cell_from_toml
 from agent.config.files import load_arm_file
+from agent.config.servo_map import fingers_of
 from agent.control.models import ModelError
 from agent.verify.check import examine
 
@@ -63,6 +64,20 @@ def test_the_files_that_ship_pass(tmp_path: Path) -> None:
         (GRIPPER, "", "gripper in wx200.toml: found nothing"),
         (GRIPPER, "[gripper]\nids = [7]\n", "gripper.servo in wx200.toml .*found nothing"),
         ("closed_tick = 1802", 'closed_tick = "shut"', "gripper.closed_tick in wx200.toml: found 'shut'"),
+        ("rod_length_m = 0.024", "rod_length_m = 0.014", "gripper.rod_length_m in .*beside horn_radius_m of 0.014"),
+        ("rod_length_m = 0.024", "rod_length_m = 0.013", "gripper.rod_length_m in .*a rod longer than the radius"),
+        ("rod_length_m = 0.024", "rod_length_m = 1e-4", "gripper.rod_length_m in .*found 0.0001"),
+        ("horn_radius_m = 0.014", "horn_radius_m = 1e-4", "gripper.horn_radius_m in .*found 0.0001"),
+        ("horn_radius_m = 0.014", "horn_radius_m = 2.0", "gripper.horn_radius_m in .*found 2.0"),
+        ("open_tick = 2875", "open_tick = 1802", "gripper.open_tick in .*-246 ticks from zero_tick, where .* -246"),
+        ("open_tick = 2875", "open_tick = 1801", "gripper.open_tick in .*fingers that go apart all the way"),
+        ("open_tick = 2875", "open_tick = 3072", "gripper.open_tick in .*does not pass ±90°"),
+        ("closed_tick = 1802", "closed_tick = 1024", "gripper.open_tick in .*-1024.*does not pass ±90°"),
+        (
+            "zero_tick = 2048\nposition_limit_ticks = [0, 4095]\nclosed_tick = 1802",
+            "zero_tick = 4095\nposition_limit_ticks = [0, 4095]\nclosed_tick = 1802",
+            "gripper.open_tick in .*-1220 ticks",
+        ),
         ("horn_radius_m", "horn_radius_mm", "gripper.horn_radius_mm in .*did you mean horn_radius_m"),
         ('urdf = "wx200.urdf"', 'urdf = "../arms/wx200.urdf"', "urdf in wx200.toml: found '../arms/wx200.urdf'"),
         ('urdf = "wx200.urdf"', 'urdf = "none.urdf"', "none.urdf: found No such file"),
@@ -72,6 +87,16 @@ def test_the_files_that_ship_pass(tmp_path: Path) -> None:
 def test_what_an_arm_file_cannot_say_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         loaded(tmp_path, arm_with(old, new))
+
+
+@pytest.mark.parametrize(("closed", "opened"), [(1802, 2875), (1025, 3071), (4095, 3073), (1023, 0)])
+def test_a_horn_opens_the_fingers_with_ticks_up_or_where_it_points_the_other_way_down(
+    tmp_path: Path, closed: int, opened: int
+) -> None:
+    arm = re.sub(r"closed_tick = .*\nopen_tick = \d+", f"closed_tick = {closed}\nopen_tick = {opened}", ARM)
+    fingers = fingers_of(loaded(tmp_path, arm).arms[0].file)
+    assert fingers is not None
+    assert fingers.closed_m < fingers.width(0.5 * (fingers.closed_rad + fingers.open_rad)) < fingers.open_m
 
 
 @pytest.mark.parametrize("cell", [CELL, re.sub(rb"(?m)^dynamixel = .*$", b"", CELL)], ids=["with ports", "without"])
