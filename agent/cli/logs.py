@@ -23,6 +23,7 @@ from agent.cli.options import (
 )
 from agent.cli.progress import Steps
 from agent.cli.results import show_results
+from agent.host.ready_line import pairs
 from agent.host.starting import ready
 
 if TYPE_CHECKING:
@@ -252,7 +253,7 @@ def play(
         if keyboard.present:
             note(HELP)
         options = PlayOptions(log, network, speed, start, end, loop, keyboard.orders, keyboard.show)
-        done = play_log(options, requested, lambda endpoint: ready(f"endpoint={endpoint}"))
+        done = play_log(options, requested, lambda endpoint: ready(pairs(endpoint=endpoint)))
     for problem in done.problems:
         note(f"{log}: {problem}")
     note(f"{log}: {done.rows} rows and {done.events} events played, {done.loops} times to the end")

@@ -11,6 +11,7 @@ import typer
 from agent.cli import complete
 from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, note
 from agent.cli.progress import Steps
+from agent.host.ready_line import pairs
 from agent.host.starting import ready
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def _serve_log(log: Path, port: int, browser: bool, requested: Callable[[], bool
             _browse(server.address)  # it loads the page while the log is read
         from agent.view.open import serve
 
-        pictures = serve(log, server, requested, lambda: ready(f"page={server.address}"), note)
+        pictures = serve(log, server, requested, lambda: ready(pairs(page=server.address)), note)
     finally:
         server.stop()
     note(f"{log}: {pictures} pictures shown")
@@ -139,7 +140,7 @@ def _serve_live(
     from agent.view.live import serve as serve_live
 
     def opened(address: str) -> None:
-        ready(f"page={address}")
+        ready(pairs(page=address))
         if browser:
             _browse(address)
 

@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from agent.host import python
+from agent.host.ready_line import READY, values_of
 from drivers.interface import Refusal
 
-READY, TELLS = "READY ", "TELLS "
+TELLS = "TELLS "
 CUT = "a file that it stored into was cut, as its ring"  # of SIGBUS, at which a process has no words of its own
 LOOK_EVERY_S = 0.05  # while a ready line is waited for
 
@@ -84,7 +85,7 @@ class Child:
         *lines, self._received = (self._received + chunk).split(b"\n")
         for line in (line.decode(errors="replace") for line in lines):
             if line.startswith(READY):
-                self._readies.append(dict(pair.split("=", 1) for pair in line.removeprefix(READY).split()))
+                self._readies.append(values_of(line))
                 self._said.update(self._readies[-1])
             elif line.startswith(TELLS):
                 self._told.append(line.removeprefix(TELLS))

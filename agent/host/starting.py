@@ -12,6 +12,8 @@ import stat
 import sys
 from typing import Any, Final, NoReturn
 
+from agent.host.ready_line import READY
+
 USAGE: Final = 2  # exit code where a line, or the host, does not do
 GARBAGE_AFTER: Final = 50_000  # new objects, of which the interpreter looks for cycles; a start makes many more
 SETTINGS: Final = {  # of libraries, read when they are loaded, where a person has not said otherwise
@@ -112,8 +114,8 @@ def _has_reader(stream: io.TextIOWrapper) -> bool:
 
 
 def ready(what: str) -> None:
-    """Tell the parent that this process is ready, and what it needs to know."""
-    sys.stdout.write(f"READY {what}\n")
+    """Tell the parent that this process is ready, and what it needs to know: `pairs`."""
+    sys.stdout.write(f"{READY}{what}\n")
     sys.stdout.flush()
 
 

@@ -23,6 +23,7 @@ from agent.guard.guarded import UNGUARDED, Guarded
 from agent.guard.line import GuardError
 from agent.host.latency import files, newest
 from agent.host.notify import Notifier
+from agent.host.ready_line import pairs
 from agent.host.realtime import become_realtime, granted, leave_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
@@ -89,7 +90,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         control = ControlSocket(options.control, cell.fingerprint, standing) if options.control else None
         if control is not None:  # behind the ring, whose lock refuses a second agent first
             stack.callback(control.close)
-        ready(f"ring={options.ring}")
+        ready(pairs(ring=options.ring))
         tell = Teller(arm.name, texts)
         guard = _reached(cell, options, stop, control)
         if guard is None and not options.lockstep:
@@ -121,7 +122,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if control is not None:
                 _stand(standing, options, operator, ring, tell, cell, guard)
                 standing.enter(begins)
-            ready("torque=on")
+            ready(pairs(torque="on"))
             if guard is not None:
                 fds, told = passed_on(driver)
                 guard.watch(

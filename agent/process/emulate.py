@@ -9,6 +9,7 @@ from pathlib import Path
 from agent.config.cell import Arm, Cell
 from agent.config.servo_map import GRIPPER, fingers_of, resting_joints
 from agent.config.session import grip_width
+from agent.host.ready_line import pairs
 from agent.host.signals import StopFlag
 from agent.process.common_start import CommonStart
 from agent.process.plant import Truth
@@ -70,7 +71,7 @@ def run_emulate_alone(
     arms = [(i, wiring(arm, place, arm.baud)) for place, (i, arm) in enumerate(chosen)]
     emulated, _ = emulate_alone(lone_spec(cell, report.q_start), arms, timing=BusTiming() if timing else None)
     ports = {arm.name: options.ports[arm.name] for _, arm in chosen}
-    server = _served(emulated, replace(options, ports=ports), stop, lambda: ready(f"arms={','.join(ports)}"))
+    server = _served(emulated, replace(options, ports=ports), stop, lambda: ready(pairs(arms=",".join(ports))))
     return f"emulator: {server.laps} laps, arms on their own"
 
 
@@ -143,7 +144,7 @@ def run_emulate(
         every_ns = round(1e9 / cell.file.simulation.observe_rate_hz)
         try:
             ticking = replace(options, on_tick=on_tick, tick_ns=every_ns)
-            server = _served(emulated, ticking, stopped, lambda: ready(f"ring={ring}"))
+            server = _served(emulated, ticking, stopped, lambda: ready(pairs(ring=ring)))
         finally:
             rows.finish()
         return f"emulator: {server.laps} laps, {rows.written} observations"

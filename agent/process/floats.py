@@ -16,6 +16,7 @@ from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
 from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.notify import Notifier
+from agent.host.ready_line import pairs
 from agent.host.realtime import become_realtime, leave_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
@@ -43,7 +44,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
     with ExitStack() as stack:
         texts, ring = opened(stack, options.ring, arm)
         notifier = stack.enter_context(closing(Notifier()))
-        ready(f"ring={options.ring}")
+        ready(pairs(ring=options.ring))
         tell = Teller(arm.name, texts)
         guard = Guarded(options.guard, cell.fingerprint) if options.guard else None
         if guard is None:
@@ -74,7 +75,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 fds, told = passed_on(driver)
                 watched = ring.fileno(), texts.fileno(), *fds
                 guard.watch(watched, tell.event, guard_vigil(cell, options), ring=str(options.ring), driver=told)
-            ready("torque=on")
+            ready(pairs(torque="on"))
             summary = loop.run()
         except Refusal as error:
             tell.event(Level.ERROR, str(error))

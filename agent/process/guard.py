@@ -26,6 +26,7 @@ from agent.guard.resume import beginning
 from agent.guard.takeover import WATCH_NS, vigil_of
 from agent.guard.watched import DESCRIPTORS, Watched
 from agent.host.notify import Notifier, stored_fds
+from agent.host.ready_line import pairs
 from agent.host.realtime import become_realtime, leave_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
@@ -53,7 +54,7 @@ def run_guard(cell: Cell, options: GuardOptions, stop: StopFlag, ready: Callable
     """
     with ExitStack() as stack:
         guard = _Guard(cell, options, stop, stack)
-        ready(f"socket={options.socket}")
+        ready(pairs(socket=options.socket))
         return guard.run()
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config.cell import Cell
+from agent.host.ready_line import pairs
 from agent.host.signals import StopFlag
 from agent.process.common_start import CommonStart
 from agent.process.pauses import Pauses
@@ -73,7 +74,9 @@ def run_plant(
                 pauses.reached(stamp_ns - zero_ns)
 
         try:
-            summary = serve(plant, options, on_tick=on_tick, on_listening=lambda: ready(f"socket={socket} ring={ring}"))
+            summary = serve(
+                plant, options, on_tick=on_tick, on_listening=lambda: ready(pairs(socket=socket, ring=ring))
+            )
         finally:
             rows.finish()
     return (

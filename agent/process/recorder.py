@@ -16,6 +16,7 @@ from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
 from agent.host import python
 from agent.host.info import attachments
+from agent.host.ready_line import pairs
 from agent.log.file import Attachment
 from agent.log.parts import Limits, only_recorder
 from agent.process.scene import scene_of
@@ -73,7 +74,7 @@ def run_recorder(
     with only_recorder(log.parent, cell.file.name) if alone else nullcontext() as note:
         if note is not None:  # for `coop status`
             options = replace(options, left_out=lambda counts: note(json.dumps({"left_out": dict(counts)}).encode()))
-        return record.run(options, stop, lambda endpoint: ready(f"endpoint={endpoint}"))
+        return record.run(options, stop, lambda endpoint: ready(pairs(endpoint=endpoint)))
 
 
 def described(cell: Path, driver: DriverKind, seed: int) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from agent.config.files import CellFiles
+from agent.host.ready_line import pairs
 from agent.process.scene import scene_of
 from agent.ros import bridge
 from agent.telemetry.link.session import Network
@@ -26,4 +27,4 @@ def run_ros(
     options = bridge.BridgeOptions(
         scene_of(cell), cell.config_id, has_plant, telemetry, ros, domain=domain, clock=clock
     )
-    return bridge.run(options, stop, lambda name: ready(f"node={name}"), tell)
+    return bridge.run(options, stop, lambda name: ready(pairs(node=name)), tell)

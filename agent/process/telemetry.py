@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from agent.host.ready_line import pairs
 from agent.telemetry.link import publish
 from agent.telemetry.link.publication import Pace, PublishOptions, PublishReport
 from agent.telemetry.link.session import Network
@@ -46,4 +47,4 @@ def run_telemetry(
         fresh=fresh,
         info={"cell": cell, "fingerprint": fingerprint, "member": member},
     )
-    return publish.run(options, stop, lambda name: ready(f"member={name}"), say)
+    return publish.run(options, stop, lambda name: ready(pairs(member=name)), say)

@@ -22,6 +22,7 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.doctor.host import fifo_granted
 from agent.faults.catalogue import Shown, row
+from agent.host.ready_line import READY, values_of
 from agent.log.columns import Table
 from agent.log.read import RunLog, read_log
 from agent.modes import Mode, mode_name
@@ -63,12 +64,12 @@ class Host:
             resource.prlimit(process.pid, resource.RLIMIT_RTTIME, (50_000, 100_000))
         return process
 
-    def said(self, process: subprocess.Popen[str]) -> str:
+    def said(self, process: subprocess.Popen[str]) -> dict[str, str]:
         """What a process says when it is ready."""
         assert process.stdout is not None
         line = process.stdout.readline()
-        assert line.startswith("READY"), f"{line}\n{(self.folder / 'words').read_text()}"
-        return line.removeprefix("READY").strip()
+        assert line.startswith(READY), f"{line}\n{(self.folder / 'words').read_text()}"
+        return values_of(line)
 
     def of(self, arm: str, suffix: str) -> Path:
         return self.folder / f"{arm}.{suffix}"
@@ -165,7 +166,7 @@ def started(host: Host) -> Running:
     recorder = host.start(
         "record", "--out", host.log, "--listen", "tcp/127.0.0.1:0", "--driver", "dynamixel", "--truth"
     )
-    endpoint = host.said(recorder).split("endpoint=")[1].strip()
+    endpoint = host.said(recorder)["endpoint"]
     host.said(emulator)
     if host.real_time:
         os.sched_setscheduler(emulator.pid, os.SCHED_FIFO, os.sched_param(SERVOS))

@@ -17,6 +17,7 @@ import pytest
 
 import configs
 from agent.config.files import load_files
+from agent.host.ready_line import values_of
 from agent.log.read import read_log
 from agent.modes import Mode
 from agent.telemetry.ring.reader import RingReader
@@ -120,7 +121,7 @@ def test_a_run_by_hand_needs_no_path_and_loads_no_solver_where_none_is_used(sess
     cell = cell_named("paper", session.folder)
     recorder = session.start("record", cell, "--listen", "tcp/127.0.0.1:0")
     plant = session.start("plant", cell)
-    endpoint = ready(recorder).split("endpoint=")[1].strip()
+    endpoint = values_of(ready(recorder))["endpoint"]
     ready(plant)
     telemetry = [
         session.start("telemetry", cell, "--member", member, "--connect", endpoint, "--lockstep")
@@ -154,7 +155,7 @@ def test_a_lockstep_cell_by_hand_tells_how_it_is_and_is_stopped_by_a_word(
     ready(plant)
     agents = {arm: session.start("agent", cell, "--arm", arm) for arm in ("left", "right")}
     for arm, agent in agents.items():
-        ring = Path(ready(agent).split("ring=")[1].strip())
+        ring = Path(values_of(ready(agent))["ring"])
         assert ring == session.folder / "session" / "coop" / "paper" / f"{arm}.ring"
         with RingReader(ring, AGENT_STATE, acknowledges=True) as reader:
             reader.acknowledge(1 << 40)  # in the place of telemetry, for good

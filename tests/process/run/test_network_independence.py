@@ -18,6 +18,7 @@ from agent.faults.heard import heard
 from agent.faults.judge import RowResult
 from agent.faults.listeners import rehearse_listeners
 from agent.faults.plan import Injection
+from agent.host.ready_line import values_of
 from agent.log.read import read_log
 from agent.telemetry.link.session import has_link
 from agent.telemetry.ring.reader import RingReader
@@ -125,7 +126,7 @@ def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
     cell, socket = short_cell(folder), folder / "plant.sock"
     log = folder / "run.mcap"
     recorder = start("record", cell, "--out", str(log), "--listen", "tcp/127.0.0.1:0", "--driver", "sim", cwd=folder)
-    endpoint = ready(recorder).split("endpoint=")[1].strip()
+    endpoint = values_of(ready(recorder))["endpoint"]
     try:
         with flood(endpoint) as sent:
             plant = start("plant", cell, "--socket", str(socket), "--ring", str(folder / "plant.ring"), cwd=folder)

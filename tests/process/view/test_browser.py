@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.host.ready_line import values_of
 from agent.log.read import RunLog, open_log, read_log
 from agent.report.prepared import prepare
 from agent.telemetry.link.session import FREE_PORT, Network, open_session
@@ -116,7 +117,7 @@ def served(*arguments: str | Path, cwd: Path) -> Iterator[str]:
     """The address of a page, and a clean end."""
     process = start("view", *arguments, "--no-browser", "--port", free_port(), cwd=cwd)
     try:
-        yield ready(process).split("page=")[1].strip()
+        yield values_of(ready(process))["page"]
         process.send_signal(signal.SIGTERM)
         output, errors = process.communicate(timeout=30.0)
         assert process.returncode == 0, errors

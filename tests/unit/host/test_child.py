@@ -15,6 +15,8 @@ from types import SimpleNamespace
 import pytest
 
 from agent.host.child import Child, ChildFailed
+from agent.host.ready_line import pairs
+from agent.host.starting import ready
 from agent.process.__main__ import _told, _told_parent
 
 
@@ -96,6 +98,18 @@ def test_what_a_child_is_ready_for_and_what_it_tells_are_kept_apart_whoever_list
         assert child.has_said("ring"), "also what has been taken"
         assert not child.has_said("guard")
         os.close(into)
+
+
+@pytest.mark.parametrize("name", [b"a folder", b"50%20", b"caf\xe9", "ü\n".encode()])
+def test_a_child_is_ready_with_the_path_it_means_whatever_is_in_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: bytes
+) -> None:
+    path = Path(os.fsdecode(name)) / "left.ring"
+    with speaking(tmp_path) as (child, into):
+        with os.fdopen(into, "w") as out:
+            monkeypatch.setattr(sys, "stdout", out)
+            ready(pairs(ring=path, socket="plain"))
+        assert child.wait_ready(60.0) == {"ring": str(path), "socket": "plain"}
 
 
 def test_who_waits_for_a_child_looks_at_other_things_meanwhile_and_may_leave(tmp_path: Path) -> None:
