@@ -204,6 +204,102 @@ class TestServos:
         assert rig.heard() == [1, 2, 3]
 
 
+class Pluggable:
+    """A port that counts how often it is plugged in and unplugged."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def vanish(self) -> None:
+        self.told.append("vanish")
+
+    def appear(self) -> None:
+        self.told.append("appear")
+
+
+class TestOverlaps:
+    """Two faults of one kind, from 0 to 1 s and from 0.5 to 2 s, or the second within the first."""
+
+    @staticmethod
+    def both(
+        rig: Rig, kind: str, first: dict[str, object] | None = None, second: dict[str, object] | None = None,
+        second_s: float = 1.5,
+    ) -> None:  # fmt: skip
+        rig.fault(kind=kind, duration_s=1.0, **(first or {}))
+        rig.fault(kind=kind, start_s=0.5, duration_s=second_s, **(second or {}))
+
+    def test_a_servo_has_a_fault_until_the_last_one_ends(self) -> None:
+        for kind in ("silent", "mute", "power_loss"):
+            for second in ({"servo": 2}, {}):
+                rig = Rig()
+                self.both(rig, kind, {"servo": 2}, second)
+                for after_ms, heard in (
+                    (400, [1, 3]),
+                    (800, [1, 3] if second else []),
+                    (700, [1, 3] if second else []),
+                ):
+                    rig.tick(after_ms)
+                    assert rig.heard() == heard, (kind, second)
+                rig.tick(200)
+                rig.tick(400)  # a boot
+                assert rig.heard() == [1, 2, 3], (kind, second)
+
+    def test_line_and_port_have_a_fault_until_the_last_one_ends(self) -> None:
+        port = Pluggable()
+        rig = Rig(port)
+        for kind in ("stall", "port_loss", "babble"):
+            self.both(rig, kind)
+        for after_ms in (0, 600, 500, 800):
+            rig.tick(after_ms)
+            assert rig.injector.stalled
+            assert port.told == ["vanish"], "once"
+            rig.bus.take(rig.now_ns)
+            rig.tick(1)
+            assert rig.bus.take(rig.now_ns), "babbling"
+        rig.tick(200)
+        assert not rig.injector.stalled
+        assert port.told == ["vanish", "appear"]
+        rig.tick(1)
+        assert not rig.bus.take(rig.now_ns)
+
+    @pytest.mark.parametrize(("second_s", "volts"), [(1.5, [80, 70, 70, 120]), (0.4, [80, 70, 80, 120])])
+    def test_the_supply_is_that_of_the_newest_and_in_the_end_the_one_before_them_all(
+        self, second_s: float, volts: list[int]
+    ) -> None:
+        rig, found = Rig(), []
+        self.both(rig, "voltage", {"voltage_V": 8}, {"voltage_V": 7, "servo": 2}, second_s)
+        for after_ms in (400, 200, 350, 1100):
+            rig.tick(after_ms)
+            found.append(rig.read(2, table.PRESENT_INPUT_VOLTAGE))
+        assert found == volts
+        assert rig.read(1, table.PRESENT_INPUT_VOLTAGE) == 120
+
+    def test_a_position_is_wrong_by_the_newest_and_a_stuck_one_stays_where_it_stuck(self) -> None:
+        rig = Rig()
+        self.both(rig, "encoder_offset", {"offset_ticks": 10}, {"offset_ticks": 30})
+        found = [rig.read(1, table.PRESENT_POSITION)]
+        for after_ms in (600, 500, 1000):
+            rig.tick(after_ms)
+            found.append(rig.read(1, table.PRESENT_POSITION))
+        assert found == [2048 + 10, 2048 + 30, 2048 + 30, 2048]
+        self.both(rig, "encoder_stuck")
+        rig.bus.servos[0].firmware.body.horn.position_rad = 0.5
+        for after_ms, position in ((600, 2048), (500, 2048), (1000, 2374)):
+            rig.tick(after_ms)
+            assert rig.read(1, table.PRESENT_POSITION) == position
+
+    def test_clearing_ends_both(self) -> None:
+        rig = Rig()
+        for kind in ("voltage", "silent", "stall"):
+            self.both(rig, kind)
+        rig.tick(600)
+        rig.injector.clear(rig.now_ns)
+        rig.tick(100)
+        assert rig.heard() == [1, 2, 3]
+        assert rig.read(1, table.PRESENT_INPUT_VOLTAGE) == 120
+        assert not rig.injector.stalled
+
+
 class TestLineAndPort:
     def test_babbling_never_ends_until_it_is_told_to(self) -> None:
         rig = Rig()
@@ -226,6 +322,7 @@ class TestLineAndPort:
         rig.tick(15)
         assert rig.bus.talked_over, "another one has ended"
         rig.tick(10)
+        rig.bus.take(rig.now_ns)  # what it said until then
         assert rig.heard() == [1, 2, 3]
 
     def test_stall_is_seen_by_the_server(self) -> None:
