@@ -111,7 +111,10 @@ class _Guard:
         if self._options.agent.driver is DriverKind.SIM:
             return None
         path, kept = port_of(self._arm, self._options.agent.connection), stored_fds()
-        port = SerialPort(path, self._arm.baud, self._clock, (lambda: kept[PORT]) if PORT in kept else None)
+        if PORT in kept:  # where this guard was gone alone, its agent is in the middle of an exchange
+            port = SerialPort(path, self._arm.baud, self._clock, lambda: kept[PORT], in_use=True)
+        else:
+            port = SerialPort(path, self._arm.baud, self._clock)
         port.open()
         self._notifier.keep(PORT, port.fileno())
         return port

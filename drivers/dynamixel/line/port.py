@@ -83,17 +83,21 @@ class SerialPort:
     """One open serial port.
 
     borrow: gives a descriptor of the port that another process has opened and locked; then `open` takes that one, and
-    `close` leaves the port as exclusive as it is.
+    `close` leaves the port as exclusive as it is.  in_use: that one was made ready before, and somebody may be in the
+    middle of an exchange on it: `open` changes nothing there and throws nothing away.
     Raises PortError from `open`, PortLostError when the device goes away, WriteTimeoutError when
     it takes no more bytes.
     """
 
-    def __init__(self, path: str, baud: int, clock: Now, borrow: Callable[[], int] | None = None) -> None:
+    def __init__(
+        self, path: str, baud: int, clock: Now, borrow: Callable[[], int] | None = None, *, in_use: bool = False
+    ) -> None:
         self.path = path
         self.baud = baud
         self.low_latency = False
         self._clock = clock
         self._borrow = borrow
+        self._in_use = in_use
         self._fd = -1
 
     def fileno(self) -> int:
@@ -116,7 +120,7 @@ class SerialPort:
             return None
 
     def open(self) -> None:
-        """Open, lock and configure.  Raises PortError; does nothing when already open."""
+        """Open, lock and configure what is not in use.  Raises PortError; does nothing when already open."""
         if self.is_open:
             return
         fd = self._open_path() if self._borrow is None else self._borrow()
@@ -124,7 +128,8 @@ class SerialPort:
             undo.callback(os.close, fd)
             try:
                 self._claim(fd)
-                self._configure(fd)
+                if not self._in_use:
+                    self._configure(fd)
             except (OSError, termios.error) as error:  # of a plug that makes and breaks contact
                 raise open_error(self.path, OSError(*error.args)) from error
             undo.pop_all()

@@ -46,6 +46,22 @@ def soon(ms: float) -> int:
     return CLOCK.now_ns() + round(ms * 1e6)
 
 
+@pytest.mark.parametrize("in_use", [False, True])
+def test_a_borrowed_port_is_made_ready_unless_somebody_is_in_an_exchange_on_it(pty, in_use: bool) -> None:
+    master, path, (_, slave) = pty
+    owner = opened(path, 57_600)
+    os.write(master, b"R" * 40)  # an answer that the owner has not read yet
+    attributes = termios.tcgetattr(slave)
+    attributes[3] |= termios.ECHO
+    termios.tcsetattr(slave, termios.TCSANOW, attributes)
+    other = SerialPort(path, 1_000_000, CLOCK, lambda: os.dup(owner.fileno()), in_use=in_use)
+    other.open()
+    assert len(owner.read_now()) == (40 if in_use else 0)
+    assert bool(termios.tcgetattr(slave)[3] & termios.ECHO) == in_use, "its settings"
+    other.close()
+    owner.close()
+
+
 @pytest.mark.parametrize("baud", [57_600, 1_000_000, 3_000_000, 4_000_000, 4_500_000])
 def test_bytes_pass_unchanged_at_any_speed(pty, baud):
     master, path, _ = pty

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import tty
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +20,7 @@ from agent.process import guard as process
 from agent.process.guard import _Guard
 from agent.process.successor import HANDED_OVER
 from agent.telemetry.ring.reader import RowBlock
+from drivers.clock import MonotonicClock
 from drivers.interface import Refusal
 
 MS = 1_000_000
@@ -289,3 +292,26 @@ def test_a_guard_lends_again_while_nobody_is_watched_and_has_no_port_of_a_simula
     bench.says(Word.PORT)
     (refusal,) = bench.line.refusals
     assert "a simulated arm" in str(refusal)
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_port_that_the_service_manager_kept_is_taken_as_it_is_and_one_opened_anew_is_made_ready(
+    monkeypatch: pytest.MonkeyPatch, kept: bool
+) -> None:
+    """Its agent is in the middle of an exchange where the guard was gone alone."""
+    bench, manager = Bench(monkeypatch), list[tuple[str, int]]()
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(slave, False)
+    os.write(master, b"R" * 40)  # that the agent has not read yet
+    monkeypatch.setattr(process, "stored_fds", lambda: {"port": os.dup(slave)} if kept else {})
+    monkeypatch.setattr(process, "port_of", lambda *_: os.ttyname(slave))
+    bench.guard._arm, bench.guard._clock = SimpleNamespace(baud=1_000_000), MonotonicClock()
+    bench.guard._options.agent.connection = None
+    bench.guard._notifier.keep = lambda *given: manager.append(given)
+    port = bench.guard._open_port()
+    assert manager == [("port", port.fileno())]
+    assert len(port.read_now()) == (40 if kept else 0)
+    port.close()
+    os.close(slave)
+    os.close(master)
