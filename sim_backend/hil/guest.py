@@ -84,11 +84,11 @@ class ServedTwin:
         return str(info["description"])
 
     def enable(self) -> None:
-        """Torque on, at zero; the plant's word that it is so comes among its states."""
+        """Torque on, at zero; the plant's word that it is so comes among its states.  One that hangs has ended."""
         if self._link is None:
             return
         try:
-            self._link.send(header_only(MessageKind.ENABLE))
+            self._link.send(header_only(MessageKind.ENABLE), socket.MSG_DONTWAIT)
             self._on = True
         except DriverError as why:
             self.ended = why
@@ -109,12 +109,12 @@ class ServedTwin:
         return TwinState(stamp_ns, q, dq, pulled[-1], np.mean(pulled, axis=0)) if pulled else None
 
     def command(self, tau_Nm: Vector, lasting_Nm: Vector) -> None:
-        """Torque (n,) from now on, and what stays of it when this process is gone."""
+        """Torque (n,) from now on, and what stays of it when this process is gone.  A plant that hangs has ended."""
         if self._link is None or not self._on or self.ended is not None:
             return
         self._out.values[: self._n], self._out.values[self._n :] = tau_Nm, lasting_Nm
         try:
-            self._link.send(self._out.buffer)
+            self._link.send(self._out.buffer, socket.MSG_DONTWAIT)
         except DriverError as why:
             self.ended = why
 

@@ -98,10 +98,13 @@ class PlantLink:
         asked.register(self._socket, 0)
         return bool(asked.poll(0))
 
-    def send(self, message: bytes | bytearray) -> None:
-        """Send one message.  Raises DriverError when the plant is not there any more."""
+    def send(self, message: bytes | bytearray, flags: int = 0) -> None:
+        """Send one message, with MSG_DONTWAIT only where that can be done at once.
+
+        Raises DriverError when the plant is not there any more, or has no room because it reads nothing.
+        """
         try:
-            self._socket.send(message, socket.MSG_NOSIGNAL)
+            self._socket.send(message, socket.MSG_NOSIGNAL | flags)
         except OSError as e:
             try:
                 while self.receive(socket.MSG_DONTWAIT) is not None:
@@ -110,7 +113,7 @@ class PlantLink:
                 raise DriverError(why.what, found=why.found, expected=why.expected, remedy=why.remedy) from e
             raise DriverError(
                 f"plant at {self._path}, arm {self._arm}",
-                found=e.strerror,
+                found="one that reads nothing any more" if isinstance(e, BlockingIOError) else e.strerror,
                 expected="a plant that listens",
                 remedy="see the log of the plant",
             ) from e

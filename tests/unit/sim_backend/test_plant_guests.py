@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 from drivers.interface import ConnectError
 from sim_backend.hil.coupling import TwinState
 from sim_backend.hil.guest import ServedTwin
-from sim_backend.served.protocol import MessageKind
+from sim_backend.served.link import INFO_KEYS
+from sim_backend.served.protocol import MessageKind, words
 from tests.support.plant.plant_cells import PLANAR_JOINTS
 from tests.support.plant.served_plant import CONFIG_ID, TAU, ServedPlant
 
@@ -95,6 +97,42 @@ def test_of_states_that_came_together_the_last_counts_and_what_pulled_over_all_o
     np.testing.assert_allclose(state.grasp, 1.5)
     np.testing.assert_allclose(state.pulled, 1.0)
     assert twin.newest() is None
+
+
+def fills_up(twin: ServedTwin) -> int:
+    """After how many torques a twin has ended."""
+    for told in range(100_000):
+        if twin.ended is not None:
+            return told
+        twin.command(TAU, TAU)
+    raise AssertionError("a queue without an end")
+
+
+@pytest.mark.timeout(60)  # who waits does so for ever here
+def test_a_plant_that_hangs_ends_a_twin_and_lets_no_real_arm_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim_backend.hil.guest.CONNECT_TIMEOUT_S", 1e6)
+    path = tmp_path / "plant.sock"
+    info = dict.fromkeys(INFO_KEYS, 0) | {"description": "a plant that hangs"}
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as plant, ThreadPoolExecutor(1) as beside:
+        plant.bind(str(path))
+        plant.listen()
+        twin = ServedTwin(path, "left", PLANAR_JOINTS, CONFIG_ID, WATCHDOG_S)
+        connecting = beside.submit(twin.connect)
+        connection, _ = plant.accept()
+        with connection:
+            connection.recv(4096)
+            connection.send(words(MessageKind.INFO, **info))
+            assert connecting.result() == "a plant that hangs"
+            twin.enable()
+            assert fills_up(twin) > 100, "a plant that pauses is not one that hangs"
+            assert "one that reads nothing any more" in str(twin.ended)
+            assert twin.newest() is None
+            twin.ended = None
+            twin.enable()
+            assert "one that reads nothing any more" in str(twin.ended), "nor with this word"
+            twin.close()
 
 
 def test_a_guest_that_vanishes_keeps_its_torque_for_its_watchdog_and_the_others_go_on(tmp_path: Path) -> None:
