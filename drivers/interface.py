@@ -136,7 +136,7 @@ class GripState:
 
 @dataclass(slots=True)
 class BusCounters:
-    """Cumulative since `connect`; read every cycle, so plain integers."""
+    """Cumulative since the first `connect`; read every cycle, so plain integers."""
 
     timeouts: int = 0
     corrupt: int = 0  # wrong CRC, wrong length, wrong ID
@@ -187,7 +187,7 @@ class Driver(Protocol):
 
     @property
     def counters(self) -> BusCounters:
-        """Counts since `connect`, always up to date."""
+        """Counts since the first `connect`, always up to date."""
         ...
 
     def connect(self) -> ArmInfo:

@@ -35,7 +35,7 @@ BABBLE_BYTES = 768  # more than any exchange of a cycle with its retry and a lat
 
 @dataclass(slots=True)
 class DxlCounters(BusCounters):
-    """What happened on the bus since `connect`; per_servo counts the cycles in which a servo gave no fresh value."""
+    """What happened on the bus since the first `connect`; per_servo: cycles in which a servo gave no fresh value."""
 
     late: int = 0  # intact replies to an earlier request
     stray_bytes: int = 0  # input thrown away before a request
