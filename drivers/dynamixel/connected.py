@@ -1,17 +1,31 @@
-"""What is told of an arm once it is connected: its `ArmInfo`, and servos that answer one by one."""
+"""The way to an arm that is connected, and what is told of one: its `ArmInfo`, and servos that answer one by one."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from drivers.dynamixel.arm_map import ArmMap
+from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink
+from drivers.dynamixel.line.port import Port
 from drivers.dynamixel.pace import ReadTimes
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.stale import joint_names
 from drivers.interface import ArmInfo
+
+
+@contextlib.contextmanager
+def opened(port: Port, baud: int) -> Iterator[None]:
+    """The port, at this speed.  Raises PortError, also where it is lost before the block is over."""
+    port.baud = baud  # one that was lost while servos were looked for at others has another
+    try:
+        port.open()
+        yield
+    except (PortLostError, WriteTimeoutError) as error:
+        raise PortError(error.what, found=error.found, expected=error.expected, remedy=error.remedy) from error
 
 
 def all_fast(found: Sequence[ServoFound], on_event: EventSink) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.bringup import BringUp, torque_off
 from drivers.dynamixel.budget import LinkTiming
-from drivers.dynamixel.connected import all_fast, arm_info
+from drivers.dynamixel.connected import all_fast, arm_info, opened
 from drivers.dynamixel.errors import (
     DxlServoFault,
     NotEnabledError,
@@ -105,9 +105,8 @@ class DynamixelDriver:
         Raises PortError, IdentityError, PaceError (all ConnectError).  The port is closed again when it raises.
         """
         self.close()
-        with contextlib.ExitStack() as undo:
+        with contextlib.ExitStack() as undo, opened(self._port, self.arm.baud):
             undo.callback(self.close)
-            self._port.open()
             info = self._connect()
             undo.pop_all()
         return info

@@ -17,7 +17,7 @@ from drivers.dynamixel.servo import judge
 from drivers.dynamixel.servo.codes import BAUD_RATES, StatusError
 from drivers.dynamixel.servo.found import Consequence, Misfit, ServoFound
 from drivers.dynamixel.servo.table import MOVING_THRESHOLD, SINCE_FIRMWARE, STATUS_RETURN_LEVEL
-from drivers.interface import ConnectError
+from drivers.interface import ConnectError, DriverError
 
 _SETUP_ID = "set its ID with `coop motors setup`"
 
@@ -174,7 +174,12 @@ def _nobody(bus: Bus, arm: ArmMap, heard: Sequence[Ping], errors: Sequence[NoRep
             None, what, found=f"{came.value}, at {arm.baud} bit/s", expected=f"whole answers of {expected}",
             remedy=remedy,
         )  # fmt: skip
-    answer = _at_another_speed(bus, arm)
+    try:
+        answer = _at_another_speed(bus, arm)
+    except BaseException:
+        with contextlib.suppress(DriverError):  # why nobody looks any further is what is told
+            bus.port.set_baud(arm.baud)
+        raise
     bus.port.set_baud(arm.baud)
     if answer is not None:
         return IdentityError(

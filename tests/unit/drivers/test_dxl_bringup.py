@@ -205,6 +205,39 @@ def test_no_power():
     assert rig.port.baud == WX200.baud
 
 
+@pytest.mark.parametrize("stays_set", [True, False])
+def test_a_port_that_is_lost_while_servos_are_looked_for_at_other_speeds_is_refused_and_may_come_back(
+    monkeypatch: pytest.MonkeyPatch, stays_set: bool
+) -> None:
+    """stays_set: it takes a speed while it is gone; a real one does not."""
+    rig, speeds = build(), []
+
+    def set_baud(baud: int) -> None:
+        speeds.append(baud)
+        if rig.port.gone and not stays_set:
+            raise PortError("port virtual: speed", found="no such device", expected="a speed", remedy="none")
+        rig.port.baud = baud
+        rig.port.gone = rig.port.gone or len(speeds) == 2
+
+    rig.fault(FaultKind.SILENT)
+    monkeypatch.setattr(rig.port, "set_baud", set_baud)
+    refused(rig, PortError, "^port virtual: found closed, expected open")
+    assert (rig.port.baud == WX200.baud) == stays_set
+    assert speeds[-1] == WX200.baud, "asked for in any case"
+    rig.port.gone = False
+    rig.injector.clear(rig.clock.now_ns())
+    rig.driver.connect()
+    assert rig.port.baud == WX200.baud
+
+
+def test_counts_of_the_bus_go_on_over_a_second_connect():
+    rig = build()
+    rig.driver.connect()
+    rig.driver.counters.timeouts, rig.driver.counters.per_servo[3] = 7, 4
+    rig.driver.connect()
+    assert (rig.driver.counters.timeouts, rig.driver.counters.per_servo) == (7, {3: 4})
+
+
 @pytest.mark.fault("B10")
 def test_wrong_speed_is_named():
     rig = build(at(WX200, baud=3_000_000), emulated=WX200)
