@@ -96,7 +96,7 @@ def write_together(contents: Mapping[Path, bytes]) -> None:
 
 
 def _remove(path: Path) -> None:
-    with contextlib.suppress(OSError):  # why the other one failed is what is told
+    with contextlib.suppress(OSError):  # why the write failed is what is told
         path.unlink()
 
 
@@ -123,10 +123,11 @@ def _put(path: Path, content: BinaryIO, refusal: type[Refusal], mode: int | None
             os.fsync(file.fileno())
         Path(name).chmod(_mode(path) if mode is None else mode)
         Path(name).replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            Path(name).unlink()
-        raise _refused(refusal, path, error) from error
+    except BaseException as error:  # a stop while the disk is waited for, too
+        _remove(Path(name))
+        if isinstance(error, OSError):
+            raise _refused(refusal, path, error) from error
+        raise
 
 
 def _mode(path: Path) -> int:

@@ -41,6 +41,21 @@ def test_a_disk_that_is_full_wants_room_and_another_one_a_folder(
     assert (tmp_path / "log").read_text() == (tmp_path / "source").read_text() == "after"
 
 
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
+def test_a_stop_while_the_disk_is_waited_for_leaves_what_was_there_and_nothing_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: type[BaseException]
+) -> None:
+    def stopped(_: int) -> None:
+        raise stop
+
+    (tmp_path / "log").write_text("before")
+    monkeypatch.setattr("os.fsync", stopped)
+    with pytest.raises(stop):
+        write_atomically(tmp_path / "log", b"after")
+    assert [path.name for path in tmp_path.iterdir()] == ["log"]
+    assert (tmp_path / "log").read_text() == "before"
+
+
 @pytest.fixture
 def closed() -> Iterator[None]:
     before = os.umask(0o077)
