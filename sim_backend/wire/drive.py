@@ -11,12 +11,17 @@ from dataclasses import dataclass
 from enum import Enum
 
 from drivers.dynamixel.servo.codes import DriveMode, OperatingMode
-from drivers.dynamixel.servo.counts import PWM_UNIT_DUTY, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.counts import (
+    ACCELERATION_UNIT_RAD_PER_S2,
+    PWM_UNIT_DUTY,
+    TICK_RAD,
+    VELOCITY_UNIT_RAD_PER_S,
+)
 from sim_backend.wire.motor import Motor
 from sim_backend.wire.profile import Profile
 
 VELOCITY_UNIT_TICK_PER_S = VELOCITY_UNIT_RAD_PER_S / TICK_RAD
-ACCELERATION_UNIT_TICK_PER_S2 = 214.577 / 3600.0 * 4096.0
+ACCELERATION_UNIT_TICK_PER_S2 = ACCELERATION_UNIT_RAD_PER_S2 / TICK_RAD
 LOOP_S = 0.001  # period of the servo's loop that the gain conversions are taken to mean; assumption
 # Damping of current-based position mode, share of the motor's own back-EMF braking; assumption: the manual gives no
 # gains for this mode, and with P alone it would ring, which real servos do not

@@ -17,7 +17,7 @@ from drivers.dynamixel.servo.codes import (
     OperatingMode,
     StartupConfiguration,
 )
-from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S, WATCHDOG_UNIT_S
 from drivers.dynamixel.servo.models import ServoModel
 from drivers.dynamixel.servo.table import Area, Register
 from sim_backend.wire.backup import GAINS, Backup
@@ -28,7 +28,7 @@ from sim_backend.wire.options import GoalAtTorqueOn, ServoOptions, WatchdogFeed
 from sim_backend.wire.overload import OverloadWatch
 from sim_backend.wire.rules import GOALS
 
-WATCHDOG_UNIT_NS = 20_000_000
+WATCHDOG_UNIT_NS = round(WATCHDOG_UNIT_S * 1e9)
 TICK_WRAP = 32768
 
 # the present registers lie side by side from Realtime Tick (120) to Present Temperature (146)
