@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,13 @@ def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: s
             f"cannot finish {part}", found=file.failure, expected="a disk that takes the whole log",
             remedy=f"make room; `coop recover {part}` mends what is there",
         )  # fmt: skip
-    part.rename(out)
+    try:
+        part.rename(out)
+    except OSError as error:
+        raise LogFileError(
+            f"cannot name {out}", found=error.strerror, expected="a name that is free, in a folder to write into",
+            remedy=f"the whole post-mortem is {part}; give it another name",
+        ) from error  # fmt: skip
     return rows
 
 
@@ -75,11 +82,14 @@ def _write_texts(channels: LogChannels, cell: str, arm: str, ring: Path) -> None
         reader = TextReader(ring)
     except RingError:
         return
-    for kind, payload in reader.read_new():
-        event = Event.from_json(payload) if kind is Kind.EVENT else None
-        utc_ns = event.utc_ns if event is not None else health_time(payload)
-        channels.write_text(Text(Address(cell, arm, kind), payload, utc_ns, event))
-    reader.close()
+    with closing(reader):
+        for kind, payload in reader.read_new():
+            try:
+                event = Event.from_json(payload) if kind is Kind.EVENT else None
+                utc_ns = event.utc_ns if event is not None else health_time(payload)
+            except ValueError:  # one that makes no sense keeps nothing else out
+                continue
+            channels.write_text(Text(Address(cell, arm, kind), payload, utc_ns, event))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -17,9 +18,11 @@ from agent.log.recover import recover
 from agent.process.post_mortem import write_post_mortem
 from agent.telemetry.ring.file import SLOTS_OFFSET
 from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.texts import TextWriter, _TextKind
 from agent.telemetry.ring.writer import RingWriter
+from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
-from tests.support.telemetry.telemetry_cell import make_rows
+from tests.support.telemetry.telemetry_cell import UTC_0_NS, make_rows
 
 CELL, ROWS = configs.CELLS_DIR / "paper.toml", 40
 
@@ -50,6 +53,27 @@ def test_rows_on_both_sides_of_a_damaged_one_are_in_it(tmp_path: Path, ring: Pat
     out = tmp_path / "left-post-mortem.mcap"
     assert write_post_mortem(CELL, "left", ring, out, "the agent has died") == ROWS - 1
     assert read_log(out).agents["left"]["sequence"].tolist() == [*range(7), *range(8, ROWS)]
+
+
+def test_a_text_that_makes_no_sense_keeps_nothing_else_out(tmp_path: Path, ring: Path) -> None:
+    with closing(TextWriter(ring, "left")) as texts:
+        texts.event(Event(UTC_0_NS, "left", Level.INFO, "before"))
+        for kind in _TextKind:
+            for payload in (b"{}", b'{"utc_ns": -1}'):
+                texts._write(kind, payload)
+        texts.event(Event(UTC_0_NS + 1, "left", Level.INFO, "after"))
+    out = tmp_path / "left-post-mortem.mcap"
+    assert write_post_mortem(CELL, "left", ring, out, "the agent has died") == ROWS
+    assert [event.text for event in read_log(out).events] == ["before", "after"]
+
+
+def test_a_name_that_is_taken_is_told_and_the_whole_file_has_its_other_name(tmp_path: Path, ring: Path) -> None:
+    out = tmp_path / "left-post-mortem.mcap"
+    out.mkdir()
+    part = out.with_name(f"{out.name}.part")
+    with pytest.raises(LogFileError, match=f"cannot name {out}: found Is a directory.*the whole post-mortem is {part}"):
+        write_post_mortem(CELL, "left", ring, out, "the agent has died")
+    assert len(read_log(part).agents["left"]) == ROWS
 
 
 def test_a_full_disk_is_told_and_leaves_what_can_be_mended(
