@@ -1,4 +1,4 @@
-"""The report of a run: PNG figures, one HTML page, results.json; all of them or none are put in place."""
+"""The report of a run: PNG figures, one HTML page, results.json; none is put in place before all are whole."""
 
 from __future__ import annotations
 

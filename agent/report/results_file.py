@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -45,13 +47,20 @@ def put_results(results: Results, folder: Path) -> None:
 
 @contextmanager
 def folder_of(out_dir: Path) -> Iterator[Path]:
-    """A folder whose files move to `out_dir` together, once all of them are whole.  Raises ReportError."""
+    """A folder whose files move to `out_dir`, one after the other, once all of them are whole.  Raises ReportError.
+
+    None moves where a folder has the name of one; a disk that fails between two moves leaves some of each report.
+    """
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".report-", dir=out_dir) as name:
             yield Path(name)
-            for file in sorted(Path(name).iterdir()):
-                file.replace(out_dir / file.name)
+            files = {file: out_dir / file.name for file in sorted(Path(name).iterdir())}
+            for place in files.values():
+                if place.is_dir():
+                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(place))
+            for file, place in files.items():
+                file.replace(place)
     except OSError as error:
         raise ReportError(
             "report not written",

@@ -17,7 +17,7 @@ from agent.report.gallery import pictures
 from agent.report.page import pictures_in
 from agent.report.prepared import prepare
 from agent.report.report import ReportFiles, write_report
-from agent.report.results_file import ReportError, terminal_table
+from agent.report.results_file import ReportError, folder_of, terminal_table
 from agent.telemetry.row.event import Event, Level
 from agent.view.film import still
 from tests.support.telemetry.synthetic_run import paper_run, spatial_run
@@ -148,6 +148,20 @@ def test_a_report_that_fails_leaves_the_last_one_untouched(tmp_path: Path) -> No
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_folder_in_the_place_of_a_file_leaves_the_report_before_as_it_was(tmp_path: Path) -> None:
+    def write() -> None:
+        with folder_of(tmp_path) as draft:
+            for name in ("report.html", "results.json"):
+                (draft / name).write_text("after")
+
+    (tmp_path / "results.json").mkdir()
+    (tmp_path / "report.html").write_text("before")
+    with pytest.raises(ReportError, match=f"found Is a directory at {tmp_path}/results.json"):
+        write()
+    assert (tmp_path / "report.html").read_text() == "before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "results.json"]
 
 
 def test_a_place_that_is_a_file_is_refused_with_a_remedy(tmp_path: Path) -> None:
