@@ -243,8 +243,7 @@ def play(
     """Publish a log again, byte for byte, under the prefix replay/; on a terminal keys pause, step and seek."""
     from agent.cli.keys import HELP, Keyboard
     from agent.host.signals import StopFlag
-    from agent.telemetry.link.play import PlayOptions
-    from agent.telemetry.link.play import run as play_log
+    from agent.telemetry.link import play as played
     from agent.telemetry.link.session import Network
 
     requested = StopFlag(suspends=True)
@@ -252,8 +251,8 @@ def play(
     with Keyboard() as keyboard:
         if keyboard.present:
             note(HELP)
-        options = PlayOptions(log, network, speed, start, end, loop, keyboard.orders, keyboard.show)
-        done = play_log(options, requested, lambda endpoint: ready(pairs(endpoint=endpoint)))
+        options = played.PlayOptions(log, network, speed, start, end, loop, keyboard.orders, keyboard.show)
+        done = played.run(options, requested, lambda endpoint: ready(pairs(endpoint=endpoint)))
     for problem in done.problems:
         note(f"{log}: {problem}")
     note(f"{log}: {done.rows} rows and {done.events} events played, {done.loops} times to the end")
