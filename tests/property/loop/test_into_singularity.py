@@ -71,7 +71,7 @@ def test_the_check_would_have_refused_each_of_them() -> None:
 
 @pytest.mark.fault("M4")
 def test_it_ends_in_a_hold_that_names_the_singularity(run: ArmRun) -> None:
-    assert run.modes == [Mode.HOLD]
+    assert run.modes == [Mode.TRACK, Mode.HOLD]
     assert run.summary.mode is Mode.HOLD
     assert "SINGULAR" in run.summary.reason
     first = run.rows[run.rows["mode"] == Mode.TRACK][-1]
@@ -123,7 +123,7 @@ def test_the_hold_replays_from_any_of_its_rows(run: ArmRun) -> None:
 @pytest.mark.parametrize("override", ['controller.velocity="servo"', long('controller.kind="adaptive"')])
 def test_other_velocities_and_the_other_law_hold_too(override: str) -> None:
     run = run_one(towards(0.45, 0.5, 3.0, override), 6.0)
-    assert run.modes == [Mode.HOLD]
+    assert run.modes == [Mode.TRACK, Mode.HOLD]
     assert "SINGULAR" in run.summary.reason
     assert np.abs(run.held["dq"][-100:]).max() < 0.1
     assert np.linalg.norm(run.held["e_p"][-1]) < 0.01
@@ -156,7 +156,7 @@ def test_both_arms_of_a_cell_that_stretch_together_hold_together(tmp_path: Path)
             assert not thread.is_alive()
     assert set(runs) == {"left", "right"}
     for run in runs.values():
-        assert run.modes == [Mode.HOLD]
+        assert run.modes == [Mode.TRACK, Mode.HOLD]
         assert "SINGULAR" in run.summary.reason
         assert np.abs(run.held["dq"][-100:]).max() < 0.1
     starts = [run.held["t"][0] for run in runs.values()]
@@ -171,6 +171,6 @@ def test_a_stop_at_a_regular_pose_holds_the_object_by_the_law_itself() -> None:
         return Event.STOP if len(ticks) == 200 else Event.NONE
 
     run = run_one(load_cell(configs.CELLS_DIR / "identify_wx200.toml"), 3.0, operator)
-    assert run.modes == [Mode.HOLD]
+    assert run.modes == [Mode.TRACK, Mode.HOLD]
     assert not np.any(run.held["flags"] & Flag.SINGULAR)
     assert np.any(run.held["tau_feedback"] != 0.0)

@@ -149,6 +149,6 @@ def test_a_no_at_the_question_ends_with_1_and_no_arm_gets_torque(
 
 def test_ports_are_refused_for_emulated_servos(tmp_path: Path) -> None:
     done = coop("float", "two_wx200", "--arm", "left", "--emulate", "--ports", tmp_path, "--out", tmp_path / "out")
-    assert done.code == 3
+    assert done.code == 2
     assert "coop: --ports with --emulate: found two answers to which servos are meant" in done.err
     assert not (tmp_path / "out").exists()
