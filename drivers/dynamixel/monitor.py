@@ -149,7 +149,7 @@ class GapMonitor:
             question = self._often[(self._turn - self._turn // SLOW_EVERY) % len(self._often)]
         if question.wire_ns > gap_ns:
             self._skipped += whole
-            if self._skipped <= SKIPPED_MAX or not whole:
+            if self._skipped <= SKIPPED_MAX:
                 return b"", 0
             text = f"a question takes {question.wire_ns * 1e-6:.1f} ms, and the cycle leaves {gap_ns * 1e-6:.1f} ms"
             self._tell.tell(DriverEvent(EventKind.SLOW_CHECKS, f"{text}: every {SKIPPED_MAX + 1}th waits"), active=True)

@@ -46,6 +46,7 @@ def test_in_lockstep_the_arm_waits_as_long_as_the_schedule_says() -> None:
 def test_in_lockstep_without_a_wait_the_first_tick_is_the_trajectorys() -> None:
     done = run(start_ns=lambda *_: None, lockstep=True)
     assert done.modes == [Mode.TRACK], "which is what an operator is told, too"
+    assert (done.rows["mode"] == Mode.TRACK).all()
     assert done.rows["t"] == pytest.approx(1e-9 * period_ns() * np.arange(20))
 
 

@@ -86,6 +86,11 @@ def test_what_a_session_stops_for_is_its_reason_and_told_with_the_way_back(bad: 
     assert done.troubles == (["no object; way back: `coop park`"] if bad is Event.TROUBLE else [])
 
 
+def test_a_trouble_without_a_word_of_its_own_leaves_the_reason_of_the_first() -> None:
+    done = run_of(Script({2: Event.APPROACH, 5: Event.TROUBLE, 7: Event.TROUBLE}, {5: "no object"}), last=9)
+    assert done.summary.reason == "no object"
+
+
 def test_the_way_back_of_an_arm_that_is_not_seen_begins_once_it_answers() -> None:
     done = run_of(Script({2: Event.APPROACH}), last=20, failures=lost_at(*range(6, 11)))
     assert done.troubles == [f"{lost()}; way back once it answers again: `coop park`"]

@@ -446,6 +446,7 @@ def test_a_width_goes_out_twice_behind_the_torques_in_the_place_of_a_question() 
     assert rest != grip.effort
     grip.go_to(0.074)
     running.write([0.0] * 4, bench.clock.ns)
+    assert running._wire_free_ns == bench.clock.ns + running._write_ns, "no answer is waited for"
     assert (gripper.sent_before, gripper.sent, running._goals[6]) == (rest, grip.effort, grip.effort)
     for _ in range(2):
         running.write([0.0] * 4, bench.clock.ns)

@@ -403,6 +403,13 @@ def test_an_answer_without_the_port_is_an_error_that_the_loop_knows(bench: Bench
     bench.lines[0][0].ask = lambda *_, **__: ()  # type: ignore[method-assign]
     with pytest.raises(GuardError, match="found 0 descriptors, expected one"):
         bench.agent.borrow()
+    fds = os.pipe()
+    bench.lines[0][0].ask = lambda *_, **__: fds  # type: ignore[method-assign]
+    with pytest.raises(GuardError, match="found 2 descriptors, expected one"):
+        bench.agent.borrow()
+    for fd in fds:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(fd)
 
 
 def test_a_guard_that_did_not_hear_that_it_is_to_go_on_is_told_again(bench: Bench) -> None:
