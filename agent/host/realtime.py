@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -88,6 +89,10 @@ def become_realtime(priority: int, without: str = WITHOUT) -> None:
 
 
 def leave_realtime() -> None:
-    """Back to the priority of others, for what takes long: writing files, and the end, which frees all memory."""
+    """Back to the priority of others, for what takes long: writing files, and the end, which frees all memory.
+
+    A user without privileges may do that, but not let helpers inherit again.  A host that refuses keeps it as it is.
+    """
     if granted().real:
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))

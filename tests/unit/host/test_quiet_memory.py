@@ -67,6 +67,18 @@ def test_an_agent_locks_its_memory_before_the_unit_counts_the_time_that_it_does_
     assert (ran.returncode, ran.stdout.split()) == (0, ["True", "True", "SCHED_OTHER"]), ran.stderr
 
 
+@pytest.mark.skipif(not fifo_granted(), reason="this host gives no real-time priority")
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become the user of a unit")
+def test_a_user_without_privileges_gives_real_time_back_too() -> None:
+    """The units' user, who got it by LimitRTPRIO alone."""
+    code = (
+        "import os; from agent.host.realtime import *; become_realtime(10)\n"
+        "os.setgid(65534); os.setuid(65534); leave_realtime(); print(granted().policy)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout.split()) == (0, ["SCHED_OTHER"]), ran.stderr
+
+
 def _limit() -> None:
     (text,) = re.findall(r"LimitRTTIME=(\d+)ms:(\d+)ms", (ROOT / "systemd" / "coop-agent@.service").read_text())
     resource.setrlimit(resource.RLIMIT_RTTIME, (1000 * int(text[0]), 1000 * int(text[1])))
