@@ -24,6 +24,7 @@ from agent.grip import GripResult, Watch
 from agent.host.notify import Notifier
 from agent.loop import Agent, initial_memory
 from agent.modes import Event, Mode
+from agent.monitors.bounds import Bounds
 from agent.monitors.watch import Watch as Monitors
 from agent.process.build import build_agent
 from agent.process.schedule import AgentOptions, schedule_of
@@ -59,6 +60,7 @@ class Floats:
     cell: Cell
     arm: Arm
     spec: Floating
+    bounds: Bounds  # found once, before any torque: that takes longer than the servos' watchdogs may wait for it
 
     @classmethod
     def of(cls, cell: Cell, arm: str) -> Floats:
@@ -69,7 +71,7 @@ class Floats:
             raise FloatError(
                 f"arm {arm}", found="no floating.arms that names it", expected="one", remedy=f"`coop float --arm {arm}`"
             )
-        return cls(cell, found, spec)
+        return cls(cell, found, spec, floating.bounds(cell, found, spec))
 
     @property
     def moves(self) -> bool:
@@ -174,7 +176,7 @@ class FloatLoop:
         schedule = replace(schedule_of(cell, options), hold_at_end=True)
         self.schedule = schedule if floats.moves else replace(schedule, ticks=ENDLESS)
         self._told = told
-        self._monitors = Monitors(floating.bounds(cell, arm, floats.spec), self._ending.warn)
+        self._monitors = Monitors(floats.bounds, self._ending.warn)
         self._heart = Heart(notifier, cell.file.rate_hz)
         self._servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
         self._grasp = Grasp.of(floats, driver, tell) if floats.spec.holding else None

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import json
 import os
+import resource
 import signal
 import subprocess
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.doctor.host import fifo_granted
 from agent.log.read import read_log
 from agent.modes import Mode
 from tests.support.coop import TIMEOUT_S, start
@@ -63,8 +65,11 @@ def test_a_stop_while_processes_start_ends_the_command_at_once_and_no_arm_gets_t
 @pytest.mark.long  # a quarter of a minute until it lies; in virtual time `make test` has it
 @pytest.mark.fault("P1")
 def test_an_arm_whose_process_is_killed_is_let_down_by_its_guard(tmp_path: Path) -> None:
-    process, _, log = floating(tmp_path)
+    """With the priorities and the limit of the services: a real-time thread that does not sleep for 50 ms is ended."""
+    process, _, log = floating(tmp_path, *(("--priority", "80") if fifo_granted() else ()))
     [pid] = [pid for pid in children(process.pid) if b"agent" in words_of(pid)]
+    [guard] = [pid for pid in children(process.pid) if b"guard" in words_of(pid)]
+    resource.prlimit(guard, resource.RLIMIT_RTTIME, (50_000, 100_000))
     os.kill(pid, signal.SIGKILL)
     _, err = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 5
@@ -88,11 +93,11 @@ def words_of(pid: int) -> list[bytes]:
     return Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
 
 
-def floating(folder: Path) -> tuple[subprocess.Popen[str], Any, str]:
+def floating(folder: Path, *more: str) -> tuple[subprocess.Popen[str], Any, str]:
     """The command, the first arm that it shows, and its folder; emulated servos of a host that stalls answer late."""
     for attempt in range(ATTEMPTS):
         log = f"log{attempt}"
-        process = start("float", "two_wx200", "--arm", "left", "--emulate", "--json", "--out", log, cwd=folder)
+        process = start("float", "two_wx200", "--arm", "left", "--emulate", "--json", "--out", log, *more, cwd=folder)
         assert process.stdout is not None
         for line in process.stdout:
             [seen] = json.loads(line)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.around import RunSummary
 from agent.config.agent import build_agent
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
@@ -18,14 +19,18 @@ from agent.host.notify import Notifier
 from agent.host.signals import StopFlag
 from agent.modes import Mode
 from agent.operator.socket import Standing
+from agent.process import float_successor
 from agent.process import successor as process
 from agent.process.build import Connection
+from agent.process.float_successor import FloatSuccessor
 from agent.process.schedule import AgentOptions
 from agent.process.successor import GuardOptions, Successor
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.arm_map import WATCHDOG_S
+from drivers.dynamixel.standby import StandbyDriver
 from drivers.interface import Refusal
 
+SUMMARY = RunSummary(ticks=1, late_cycles=0, stale_cycles=0, mode=Mode.OFF, reason="", tracked_s=0.0)
 CELL = load_cell(Path("two_wx200"))
 
 
@@ -81,3 +86,28 @@ def test_a_guard_in_the_place_of_an_agent_says_whether_a_stop_ends_its_hold(tmp_
     clock: Any = SimpleNamespace(utc_offset_ns=0)
     made(tmp_path, hold=hold)._around(control, Any, watched, clock, tell, Any, Mode.HOLD)  # type: ignore[arg-type]
     assert standing.details()["drops_on_stop"] is not hold
+
+
+@pytest.mark.parametrize("told", [(), ("floating.holding=true", "floating.others_move=true")])
+def test_what_lets_a_floating_arm_down_has_its_bounds_before_the_takeover(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, told: tuple[str, ...]
+) -> None:
+    """To work them out takes longer than LimitRTTIME leaves a real-time process, and the servos wait for a torque."""
+    cell, done = load_cell(Path("two_wx200"), ['floating.arms=["left"]', *told]), list[str]()
+    options = AgentOptions(
+        "left", DriverKind.DYNAMIXEL, Connection(), ring=tmp_path / "ring", control=None, lockstep=False, hold=True
+    )
+    arm = cell.arm("left")
+    guard = FloatSuccessor(cell, arm, build_agent(cell, arm), options, Notifier(""))
+    monkeypatch.setattr(process.monitors, "bounds", lambda *_: done.append("bounds"))
+    monkeypatch.setattr(float_successor, "go_on", lambda *_, **__: done.append("torque"))
+    monkeypatch.setattr(float_successor.FloatLoop, "run", lambda *_: done.append("loop") or SUMMARY)
+    driver = object.__new__(StandbyDriver)
+    monkeypatch.setattr(StandbyDriver, "disable", lambda _: done.append("off"))
+    monkeypatch.setattr(StandbyDriver, "close", lambda _: None)
+    texts = SimpleNamespace(finish=lambda: None, event=lambda _: None)
+    rows = np.zeros(1, AGENT_STATE.dtype)
+    writer = SimpleNamespace(finish=lambda: None, row=rows)
+    watched: Any = SimpleNamespace(last_rows=lambda: rows[:0], texts=texts, writer=writer, inherit=lambda _: None)
+    assert guard.hold(watched, driver, "the agent has died", session=False) is SUMMARY
+    assert done == ["torque", "loop", "off"]
