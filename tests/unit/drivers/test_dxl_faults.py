@@ -253,14 +253,14 @@ def test_lost_torque_is_a_fault_within_fifty_milliseconds(servo_id):
 
 @pytest.mark.parametrize("step_ms", [2.1, 2.5])
 def test_lost_torque_is_found_too_where_the_host_leaves_no_gap_a_question_fits_in(step_ms: float) -> None:
-    """No cycle is late, and no state is missed."""
+    """No state is missed."""
     rig = enabled(timing=WIRE)
     healthy = cycles(rig, 100, 0.0 * TAU, step_ns=round(step_ms * 1e6))
     assert all(cycle.error is None for cycle in healthy)
     assert rig.driver.counters.timeouts == rig.driver.counters.late == 0
     assert rig.kinds().count("SLOW_CHECKS") == 1
     rig.put(6, table.TORQUE_ENABLE, 0)
-    done = cycles(rig, 40, 0.0 * TAU, until=DxlServoFault, step_ns=round(step_ms * 1e6))
+    done = cycles(rig, 160, 0.0 * TAU, until=DxlServoFault, step_ns=round(step_ms * 1e6))
     assert (done[-1].error.cause, done[-1].error.servo_id) == (FaultCause.TORQUE_LOST, 6)
 
 

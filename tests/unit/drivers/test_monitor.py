@@ -130,7 +130,7 @@ def test_gaps_that_are_too_short_do_not_silence_the_checks_for_ever_and_are_told
     (told,) = bench.events
     wire_ms, left_ms = (f"{ns * 1e-6:.1f} ms" for ns in (wire_ns, wire_ns - 1))
     assert told.kind.name == "SLOW_CHECKS"
-    assert told.text == f"a question takes {wire_ms}, and the cycle leaves {left_ms}: every 5th waits"
+    assert told.text == f"a question takes {wire_ms}, and the cycle leaves {left_ms}: every 25th waits"
     bench.monitor.answer(bench.reply((3, 4), HEALTHY, HEALTHY), 0, final=True)
     asked = [bench.ask(gap_ns) for gap_ns in [wire_ns - 1] * SKIPPED_MAX + [wire_ns]]
     assert asked == [None] * SKIPPED_MAX + [(Page.STATUS, (5, 6))]

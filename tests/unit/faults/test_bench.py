@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
-from agent.faults.bench import Rehearsal
+from agent.faults.bench import Bench, Rehearsal
 from agent.faults.measure import GONE, Measured, measured
 from agent.faults.plan import Injection
 from agent.faults.rehearse import rehearse
 from agent.modes import Mode
 from agent.safety import Flag
 from drivers.dynamixel.arm_map import WATCHDOG_S
+from drivers.interface import Driver, Vector
 from tests.faults.together import drawn, same
 from tests.support.control.level_wx200 import LEVEL, STIFF
 
@@ -52,6 +54,28 @@ def test_without_a_fault_nobody_says_anything() -> None:
     assert (found.noticed_s, found.reacted_s, set(found.stopped_s.values())) == (None, None, {None})
     assert set(found.ended.values()) == {"TRACK"}
     assert len(run.arms["left"].rows) == len(run.arms["right"].rows)
+
+
+class SlowSteps(Bench):
+    """Each loop computes for so long before its torque goes out that no question to the servos fits behind it."""
+
+    def _driver(self, *given: Any) -> Driver:
+        driver = super()._driver(*given)
+        write, clock = driver.write, given[2]
+
+        def late(tau_Nm: Vector) -> Vector:
+            clock.sleep_until(clock.now_ns() + 2_400_000)
+            return write(tau_Nm)
+
+        driver.write = late  # type: ignore[method-assign]
+        return driver
+
+
+def test_a_host_whose_steps_leave_no_gap_asks_its_servos_so_rarely_that_no_arm_holds_for_it() -> None:
+    run = SlowSteps(load_cell(Path("two_wx200"), ["duration_s=0.8"]), (), 1).run()
+    for arm in run.arms.values():
+        assert (arm.summary.mode, arm.summary.reason) == (Mode.TRACK, "")
+        assert [event.kind.name for _, event in arm.events].count("SLOW_CHECKS") == 1, "so rarely, and not never"
 
 
 @pytest.mark.fault("P8")
