@@ -133,7 +133,7 @@ def _length(cell: Path, changes: list[str], faults: Sequence[Injection], duratio
         return [] if asked else [f"duration_s={duration}"]
     require_happens(faults, load_files(cell, changes).file.duration_s)
     ends = [fault.at_s + (fault.for_s if math.isfinite(fault.for_s) else 0.0) for fault in faults]
-    return [f"duration_s={max(ends) + MORE_S}"]
+    return [f"duration_s={max(ends, default=AT_S) + MORE_S}"]
 
 
 def _faults(name: str, **given: Any) -> tuple[tuple[Injection, ...], tuple[str, ...]]:

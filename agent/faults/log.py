@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from agent.atomic import require_place
 from agent.config.schema.driver import DriverKind
 from agent.faults.bench import ArmRun, Rehearsal
+from agent.faults.virtual import UTC_OFFSET_NS
 from agent.host.info import attachments
 from agent.log.channels import LogChannels
 from agent.log.file import Attachment, LogFile, LogFileError, LogInTheWay
@@ -77,8 +78,12 @@ def _own_events(name: str, arm: ArmRun, zero_ns: int) -> Iterator[Event]:
         yield Event(int(arm.rows["utc_ns"][-1]), name, Level.ERROR, str(arm.error))
 
 
-def _utc_ns(t: float, zero_ns: int) -> int:
+def _stamp_ns(t: float, zero_ns: int) -> int:
     return max(0, zero_ns + round(t * 1e9))
+
+
+def _utc_ns(t: float, zero_ns: int) -> int:
+    return UTC_OFFSET_NS + _stamp_ns(t, zero_ns)
 
 
 class _Kept:
@@ -98,7 +103,7 @@ class _Kept:
 
 def _truth(run: Rehearsal) -> NDArray[np.void]:
     kept = _Kept()
-    truth = Truth(kept, run.plant, run.cell, 0, lockstep=False)
+    truth = Truth(kept, run.plant, run.cell, UTC_OFFSET_NS, lockstep=False)
     for i, (t, seen) in enumerate(run.truth):
-        truth.write(i, _utc_ns(t, run.zero_ns), seen)
+        truth.write(i, _stamp_ns(t, run.zero_ns), seen)
     return np.array(kept.rows, PLANT_STATE.dtype)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from agent.faults.plan import Injection, Kind, Target
-from agent.faults.virtual import SharedClock
+from agent.faults.virtual import UTC_OFFSET_NS, SharedClock
 from agent.loop import Agent
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.interface import JointState, Vector
@@ -24,7 +24,7 @@ class AgentGone(Exception):
 class AgentClock:
     """The clock of one agent whose process may be gone, stand still or be slow; it sees the time of all."""
 
-    utc_offset_ns = 0
+    utc_offset_ns = UTC_OFFSET_NS
 
     def __init__(
         self, shared: SharedClock, faults: Sequence[Injection], period_ns: int, zero_ns: Callable[[], int | None]

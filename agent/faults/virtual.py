@@ -19,6 +19,7 @@ from sim_backend.wire.bus import Bus
 from sim_backend.wire.injector import Injector
 
 STEP_NS = 1_000_000  # in which time passes, so that watchdogs and faults can follow
+UTC_OFFSET_NS = 500_000_000  # no whole second, by which `agent.log.when` knows time that waits for every arm
 
 
 class Advancing(Protocol):
@@ -39,7 +40,7 @@ class Advancing(Protocol):
 class SharedClock:
     """One time for all arms; it passes while all of them wait, and stops for the one that is due."""
 
-    utc_offset_ns = 0
+    utc_offset_ns = UTC_OFFSET_NS
 
     def __init__(
         self, cell: Advancing, injectors: Sequence[Injector], passed: Callable[[int], None] = lambda _: None

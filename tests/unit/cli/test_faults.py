@@ -12,6 +12,7 @@ from agent.cli.faults import _faults, _length
 from agent.faults.catalogue import rows
 from agent.faults.plan import NAMES
 from agent.log.read import read_log
+from agent.log.when import in_lockstep
 from agent.modes import Mode
 from tests.support.command import coop
 from tests.support.pages import told
@@ -50,6 +51,7 @@ def test_a_rehearsal_says_who_noticed_who_stopped_and_what_it_cost(tmp_path: Pat
     assert set(read.agents) == {"left", "right"}
     assert read.complete
     assert len(read.plant) > 50  # type: ignore[arg-type]
+    assert not in_lockstep([read.plant, *read.agents.values()]), "each arm counts cycles of its own"
     assert Mode.HOLD in np.asarray(read.agents["right"]["mode"])
     events = [event.text for event in read.events]
     assert any(text.startswith("fault: bus-off") for text in events)
@@ -147,3 +149,6 @@ def test_the_length_of_a_run_is_what_was_set_else_ends_behind_the_last_fault() -
     assert _length(cell, ["duration_s = 4"], faults, None) == [], "the cell has it already"
     assert _length(cell, [], faults, 120.0) == ["duration_s=120.0"]
     assert _length(cell, ["rate_hz=100"], faults, None) == ["duration_s=5.5"]
+    reality, changes = _faults("S8", at_s=None, for_s=None, arm=None, servo=None, size=None)
+    assert (reality, bool(changes)) == ((), True), "nothing befalls anybody: it is the arms that are otherwise"
+    assert _length(cell, [], reality, None) == ["duration_s=5.0"]
