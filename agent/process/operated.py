@@ -52,8 +52,12 @@ class Operator:
         drops_on_stop: bool,
         watch: Callable[[], str] = lambda: "",
         session: bool = False,
+        standing: Standing | None = None,
     ) -> None:
-        """session: a stop is said once, whoever asks for it, for the arm may go on from it."""
+        """session: a stop is said once, whoever asks for it, for the arm may go on from it.
+
+        standing: what is answered about the arm, also where there is no control socket yet.
+        """
         self._signals = stop
         self._control = control
         self._clock = clock
@@ -71,7 +75,16 @@ class Operator:
         self._lower: Request | None = None
         self._lower_ns = 0
         self.clock: ClockWatch | None = None  # where arms of the cell are on other hosts
-        self._standing = control.standing if control is not None else Standing("")
+        self._standing = standing or (control.standing if control is not None else Standing(""))
+
+    @property
+    def is_deaf(self) -> bool:
+        """Whether nobody's words are heard, only signals."""
+        return self._control is None
+
+    def listen(self, control: ControlSocket) -> None:
+        """From here on words are heard."""
+        self._control = control
 
     @property
     def start(self) -> Request | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ from agent.process.build import Standby
 from agent.process.operated import Operator, tick_of
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import led_back
-from agent.process.tellers import Heart, ServoTeller, Teller
+from agent.process.tellers import Every, Heart, ServoTeller, Teller
 from agent.runner import Runner
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
@@ -36,6 +36,7 @@ from drivers.interface import Refusal
 
 POST_MORTEM_AFTER_S = 0.3  # of the hold, so that its first cycles are in it
 FOLDER_WAIT_S = 0.02  # for who begins beside it: a cell's guards may take over at once, and servos wait for 0.2 s
+LISTEN_S = 1.0  # from one attempt to hear words to the next, of a hold that could not
 HOLDS, HANDED_OVER = "holds in the agent's place", "the agent was asked to end"
 
 
@@ -97,7 +98,7 @@ class Successor:
             stack.callback(driver.disable)
             leads = session and begun.mode is not Mode.FAULT
             led = led_back(self._cell, arm, self._agent, driver, begun, standing) if leads else None
-            around = self._around(control, driver, watched, clock, tell, black_box, begun.mode)
+            around = self._around(control, standing, driver, watched, clock, tell, black_box, begun.mode, stack)
             row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
             watch = Watch(self._bounds, tell.warn)
             cpu_s = time.process_time()
@@ -109,42 +110,58 @@ class Successor:
 
     def _listening(self, standing: Standing, tell: Teller, stack: ExitStack) -> ControlSocket | None:
         """Where words are heard; an arm is held without it too, as where its folder is gone."""
-        path = self._options.agent.control
-        if path is None:
-            return None
         try:
-            control = ControlSocket(path, self._cell.fingerprint, standing, FOLDER_WAIT_S)
+            return self._listen(standing, stack, FOLDER_WAIT_S)
         except ControlError as error:
             tell.event(Level.ERROR, f"no word reaches this hold, SIGUSR1 to process {os.getpid()} releases it: {error}")
             return None
+
+    def _listen(self, standing: Standing, stack: ExitStack, wait_s: float) -> ControlSocket | None:
+        """Until the stack ends; None where no words are to be heard.  Raises ControlError."""
+        path = self._options.agent.control
+        if path is None:
+            return None
+        control = ControlSocket(path, self._cell.fingerprint, standing, wait_s)
         stack.callback(control.close)
         return control
 
     def _around(
-        self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,
-        tell: Teller, black_box: BlackBox, begins: Mode,
+        self, control: ControlSocket | None, standing: Standing, driver: Standby, watched: Watched,
+        clock: MonotonicClock, tell: Teller, black_box: BlackBox, begins: Mode, stack: ExitStack,
     ) -> Surroundings:  # fmt: skip
         rate_hz = self._cell.file.rate_hz
         heart = Heart(self._notifier, rate_hz)
         servos = ServoTeller(driver, watched.texts, clock.utc_offset_ns, rate_hz)
         agent = self._options.agent
-        operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold, session=self._session)
+        operator = Operator(
+            self._stop, control, clock, tell.event, drops_on_stop=not agent.hold, session=self._session,
+            standing=standing,
+        )  # fmt: skip
         fixed = {
             "pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS, "session": self._session,
             "drops_on_stop": not agent.hold,
         }  # fmt: skip
-        if control is not None:
-            control.standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
+        standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
         heart.mode(begins)
+        again = Every(LISTEN_S, rate_hz)
 
         def mode_changed(mode: Mode) -> None:
             heart.mode(mode)
             operator.mode(mode)
 
+        def listen() -> None:
+            with suppress(ControlError):
+                heard = self._listen(standing, stack, 0.0)
+                if heard is not None:
+                    operator.listen(heard)
+                    tell.event(Level.INFO, "words reach this hold from here on")
+
         def beat() -> None:
             heart.beat()
             servos.beat()
             black_box.beat()
+            if operator.is_deaf and again():
+                listen()
 
         return Surroundings(
             time.perf_counter_ns, operator.events, lambda: None, beat, mode_changed, tell.trouble, busy=heart.busy

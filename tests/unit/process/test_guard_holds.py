@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 from collections import defaultdict
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,7 +20,10 @@ from agent.config.schema.driver import DriverKind
 from agent.host.notify import Notifier
 from agent.host.signals import StopFlag
 from agent.modes import Mode
+from agent.operator.ask import ask_sockets
+from agent.operator.message import Reply, Request
 from agent.operator.socket import Standing
+from agent.operator.table import Verb
 from agent.process import float_successor
 from agent.process import successor as process
 from agent.process.build import Connection
@@ -28,7 +33,7 @@ from agent.process.successor import GuardOptions, Successor
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.dynamixel.standby import StandbyDriver
-from drivers.interface import Refusal
+from drivers.interface import Refusal, ServoHealth
 
 SUMMARY = RunSummary(ticks=1, late_cycles=0, stale_cycles=0, mode=Mode.OFF, reason="", tracked_s=0.0)
 CELL = load_cell(Path("two_wx200"))
@@ -84,8 +89,61 @@ def test_a_guard_in_the_place_of_an_agent_says_whether_a_stop_ends_its_hold(tmp_
     watched: Any = SimpleNamespace(texts=None, writer=SimpleNamespace(row=defaultdict(float), written=0))
     tell: Any = SimpleNamespace(event=None, trouble=None)
     clock: Any = SimpleNamespace(utc_offset_ns=0)
-    made(tmp_path, hold=hold)._around(control, Any, watched, clock, tell, Any, Mode.HOLD)  # type: ignore[arg-type]
+    made(tmp_path, hold=hold)._around(
+        control,
+        standing,
+        Any,
+        watched,
+        clock,
+        tell,
+        Any,
+        Mode.HOLD,
+        ExitStack(),  # type: ignore[arg-type]
+    )
     assert standing.details()["drops_on_stop"] is not hold
+
+
+def test_a_hold_that_could_not_listen_tries_again_and_hears_words_then(tmp_path: Path) -> None:
+    """Any reader of the folder may keep it for a moment."""
+    told, standing, guard = list[str](), Standing("left", Mode.HOLD, "the agent has died"), made(tmp_path)
+    tell: Any = SimpleNamespace(event=lambda _, text: told.append(text), trouble=None)
+    watched: Any = SimpleNamespace(
+        texts=None, writer=SimpleNamespace(row=defaultdict(float), written=0), inherit=lambda _: None
+    )
+    clock: Any = SimpleNamespace(utc_offset_ns=0, now_ns=lambda: 0)
+    black_box: Any = SimpleNamespace(beat=lambda: None)
+    driver: Any = SimpleNamespace(health=lambda: ServoHealth.none(0))
+    kept = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(kept, fcntl.LOCK_EX)
+    second = round(CELL.file.rate_hz)
+    with ExitStack() as stack:
+        deaf = guard._listening(standing, tell, stack)
+        assert deaf is None
+        around = guard._around(deaf, standing, driver, watched, clock, tell, black_box, Mode.HOLD, stack)
+        for _ in range(second):
+            around.heartbeat()
+        os.close(kept)
+        around.mode_changed(Mode.OFF)
+        for _ in range(second - 1):
+            around.heartbeat()
+        assert not (tmp_path / "left.control").exists(), "once a second"
+        around.heartbeat()
+        assert [text.partition(":")[0] for text in told] == [
+            f"no word reaches this hold, SIGUSR1 to process {os.getpid()} releases it",
+            "words reach this hold from here on",
+        ]
+
+        def poll() -> None:
+            around.operator()
+
+        request = Request(Verb.STATUS)
+        (heard,) = ask_sockets([tmp_path / "left.control"], request, look=poll).values()
+        assert isinstance(heard, Reply)
+        assert heard.mode == "OFF", "which it was told of while it was deaf"
+        for _ in range(second):
+            around.heartbeat()
+    assert len(told) == 2
+    assert not (tmp_path / "left.control").exists()
 
 
 @pytest.mark.parametrize("told", [(), ("floating.holding=true", "floating.others_move=true")])
