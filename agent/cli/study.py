@@ -101,7 +101,7 @@ def _table(outcome: StudyOutcome) -> Table:
     for name, found in document["cells"].items():
         for figure in FIGURES:
             values, bound = found[figure], found["bounds"].get(figure)
-            if values["100"] is not None:
-                cells = [f"{values[q]:.4g}" for q in ("50", "95", "100")]
+            if values["50"] is not None:
+                cells = ["–" if values[q] is None else f"{values[q]:.4g}" for q in ("50", "95", "100")]
                 table.add_row(name, figure, *cells, "" if bound is None else f"{bound:g}")
     return table

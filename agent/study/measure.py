@@ -161,7 +161,7 @@ class _Seen:
             seed=seed,
             lost=lost is not None,
             tripped=trip is not None,
-            within_bounds=kept and lost is None and trip is None,
+            within_bounds=kept and lost is None and not gave_up(None if trip is None else trip.t, faults),
             settled=settled,
             tracked_s=max(0.0, min([until_s, *(fault.at_s for fault in faults)])),
             tripped_s=None if trip is None else trip.t,
@@ -181,6 +181,11 @@ class _Seen:
             return np.zeros(0)
         internal = internal_wrenches(np.array(self._wrench), np.array(self._quat), None)
         return largest_force(np.linalg.norm(internal[:, :, :3], axis=2))
+
+
+def gave_up(tripped_s: float | None, faults: Sequence[Fault]) -> bool:
+    """Whether an arm tripped with no fault to trip for; tripped_s: when the first did."""
+    return tripped_s is not None and tripped_s < min((fault.at_s for fault in faults), default=math.inf)
 
 
 def _largest(values: Vector) -> float:

@@ -93,14 +93,14 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
     parts = [
         (cell, some, found | judged(cell, found), influences(cell, some))
         for cell, some in zip(plan.cells, results, strict=True)
-        if some and (found := summary(some))
+        if some and (found := summary(some, plan.faults))
     ]
     document = {
         "schema": SCHEMA,
         "versions": plan.identity()["versions"],
         "seed": plan.seed,
         "wanted": plan.runs * len(plan.cells),
-        **summary(together),
+        **summary(together, plan.faults),
         "holds": bool(parts) and all(found["holds"] for _, _, found, _ in parts),
         "cells": {
             cell.file.name: {
@@ -108,7 +108,7 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
                 "duration_s": cell.file.duration_s,
                 **found,
                 "influences": [asdict(i) for i in ranked],
-                "worst": worst(some).index,
+                "worst": worst(some, plan.faults).index,
             }
             for cell, some, found, ranked in parts
         },
@@ -121,7 +121,7 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
             write_atomically(out / PARQUET, _parquet(rows))
         names = ", ".join(cell.file.name for cell, *_ in parts)
         write_atomically(out / PAGE, render(f"Study of {names}", parts, plan.faults).encode())
-        bad = worst(together)
+        bad = worst(together, plan.faults)
         at = next(i for i, some in enumerate(results) if any(r is bad for r in some))
         write_atomically(out / WORST, worst_cell(plan.cells[at], bad, plan.faults))
     return document

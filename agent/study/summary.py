@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
 from agent.study.fault import Fault
-from agent.study.measure import RunResult, bounds_of
+from agent.study.measure import RunResult, bounds_of, gave_up
 from drivers.interface import Vector
 
 QUANTILES: Final = (50, 95, 100)  # %
@@ -42,9 +43,12 @@ class Influence:
     correlation: float
 
 
-def summary(results: Sequence[RunResult]) -> dict[str, Any]:
-    """Counts, and quantiles of each figure over all runs; a lost run counts with what was measured until then."""
-    return {
+def summary(results: Sequence[RunResult], faults: Sequence[Fault] = ()) -> dict[str, Any]:
+    """Counts, and quantiles of each figure over all runs; a lost run counts with what was measured until then.
+
+    faults: of every run.  One that no other arm notices counts as noticed later than any.
+    """
+    found = {
         "runs": len(results),
         "lost": sum(r.lost for r in results),
         "tripped": sum(r.tripped for r in results),
@@ -52,15 +56,21 @@ def summary(results: Sequence[RunResult]) -> dict[str, Any]:
         "within_bounds": sum(r.within_bounds for r in results),
         "unsettled": sum(not r.settled for r in results),
     } | {figure: _quantiles([getattr(r, figure) for r in results]) for figure in FIGURES}
+    if faults:
+        found["unnoticed"] = sum(r.reaction_s is None for r in results)
+        found["tripped_before_fault"] = sum(gave_up(r.tripped_s, faults) for r in results)
+    return found
 
 
 def judged(cell: Cell, found: Mapping[str, Any]) -> dict[str, Any]:
     """Whether the cell keeps its bounds: nothing lost, nothing tripped, and 95 % of the runs below each bound.
 
-    found: the summary of its runs.  `missed` names what it does not keep.
+    found: the summary of its runs; of runs with faults an arm that trips after the first does what it should.
+    `missed` names what the cell does not keep.
     """
     bounds = bounds_of(cell)
-    missed = [key for key in ("lost", "tripped") if found[key]]
+    tripped = "tripped_before_fault" if "tripped_before_fault" in found else "tripped"
+    missed = [key for key in ("lost", tripped) if found[key]]
     missed += [figure for figure, bound in bounds.items() if not _kept(found[figure][PROMISED], bound)]
     return {"bounds": bounds, "missed": missed, "holds": not missed}
 
@@ -68,15 +78,19 @@ def judged(cell: Cell, found: Mapping[str, Any]) -> dict[str, Any]:
 def verdict(found: Mapping[str, Any]) -> str:
     """Whether a cell keeps its bounds, in words; found: its summary with what `judged` says."""
     runs = "1 run" if found["runs"] == 1 else f"{found['runs']} runs"
+    struck = "unnoticed" in found
+    noticed = f"; the others noticed it in {found['runs'] - found['unnoticed']} of {runs}" if struck else ""
     if found["holds"]:
-        kept = f"holds: {runs}, none lost, none tripped, {PROMISED} % of them below every bound"
+        kept = f"holds: {runs}, none lost, none tripped{' before the fault' if struck else ''}"
+        kept += f", {PROMISED} % of them below every bound{noticed}"
         if found["runs"] < ENOUGH_RUNS:
             kept += f"; too few to say it of {PROMISED} % of all realities, which takes {ENOUGH_RUNS} or more"
         return kept
     by = ", ".join(f"{name} {count}" for name, count in found["tripped_by"].items())
     words = {"lost": f"{found['lost']} lost", "tripped": f"{found['tripped']} tripped ({by})"}
+    words["tripped_before_fault"] = f"{found.get('tripped_before_fault')} tripped before the fault"
     missed = [words.get(key, f"{PROMISED} % quantile of {key} above its bound") for key in found["missed"]]
-    return f"does not hold: of {runs} " + ", ".join(missed)
+    return f"does not hold: of {runs} {', '.join(missed)}{noticed}"
 
 
 def counting(cell: Cell, found: Mapping[str, Any], faults: Sequence[Fault]) -> str:
@@ -96,11 +110,10 @@ def _kept(value: float | None, bound: float) -> bool:
 
 
 def _quantiles(values: Sequence[float | None]) -> dict[str, float | None]:
-    """Smallest value that so many percent do not exceed; None without a value."""
-    known = [v for v in values if v is not None]
-    if not known:
-        return {str(q): None for q in QUANTILES}
-    return {str(q): float(np.percentile(known, q, method="inverted_cdf")) for q in QUANTILES}
+    """Smallest value that so many percent do not exceed; one that is None is larger than any, and so is none at all."""
+    known = [math.inf if v is None else v for v in values] or [math.inf]
+    found = {str(q): float(np.percentile(known, q, method="inverted_cdf")) for q in QUANTILES}
+    return {q: value if math.isfinite(value) else None for q, value in found.items()}
 
 
 def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
@@ -172,14 +185,20 @@ def _ranks(x: Vector) -> Vector:
     return ranks
 
 
-def worst(results: Sequence[RunResult]) -> RunResult:
-    """The run to look at first: lost soonest, else tripped soonest, else with the largest internal force."""
-    return min(results, key=_badness)
+def worst(results: Sequence[RunResult], faults: Sequence[Fault] = ()) -> RunResult:
+    """The run to look at first: lost soonest, else tripped soonest, else with the largest internal force.
 
+    With faults, for which the others are to trip: lost soonest, else tripped soonest before the first of them, else
+    noticed by nobody, with the largest internal force, else noticed latest.
+    """
 
-def _badness(result: RunResult) -> tuple[int, float, int]:
-    if result.lost_s is not None:
-        return 0, result.lost_s, result.index
-    if result.tripped_s is not None:
-        return 1, result.tripped_s, result.index
-    return 2, -result.internal_force_mean_N, result.index
+    def badness(result: RunResult) -> tuple[int, float, int]:
+        if result.lost_s is not None:
+            return 0, result.lost_s, result.index
+        if result.tripped_s is not None and gave_up(result.tripped_s, faults):
+            return 1, result.tripped_s, result.index
+        if result.reaction_s is not None:
+            return 3, -result.reaction_s, result.index
+        return 2, -result.internal_force_mean_N, result.index
+
+    return min(results, key=badness)

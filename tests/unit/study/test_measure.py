@@ -225,6 +225,15 @@ def test_figures_count_on_after_a_fault_and_all_arms_follow_until_then(monkeypat
     assert found.tracked_s == 2.0
 
 
+def test_a_run_whose_arms_trip_for_a_fault_is_within_bounds_and_one_that_trips_before_it_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for at_s, within in ((2.9, True), (3.0, True), (3.1, False)):
+        faults = [Fault(kind=FaultKind.LIMP, arm="left", at_s=at) for at in (4.0, at_s)]
+        found, _ = result(monkeypatch, off_at({}, 1e-4), faults=faults, trips=[TRIP])
+        assert (found.tripped, found.within_bounds) == (True, within)
+
+
 def test_a_run_that_trips_and_is_lost_later_says_when_for_both(monkeypatch: pytest.MonkeyPatch) -> None:
     found, _ = result(monkeypatch, lambda t: (0.2 if t > 4.0 else 0.0, 0.0, 0.0, 0.0), trips=[TRIP])
     assert (found.tracked_s, found.tripped_s, found.lost_s) == (3.0, 3.0, pytest.approx(4.1))

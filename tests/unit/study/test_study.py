@@ -59,6 +59,9 @@ KEYS = (
 )
 
 
+STRUCK = (Fault(kind=FaultKind.LIMP, arm="left", at_s=7.0), Fault(kind=FaultKind.LIMP, arm="left", at_s=5.0))
+
+
 class Told:
     """A progress that remembers."""
 
@@ -394,12 +397,38 @@ def test_a_study_that_is_left_early_ends_its_processes(plan: Plan, monkeypatch: 
 def test_quantiles_are_of_all_runs_and_counts_of_each_kind() -> None:
     results = [a_result(i, internal_force_mean_N=float(i)) for i in range(1, 101)]
     results[0] = replace(results[0], lost=True, within_bounds=False)
-    results[1] = replace(results[1], tripped=True, within_bounds=False, reaction_s=0.1)
+    results[1] = replace(results[1], tripped=True, within_bounds=False)
     found = summary(results)
     assert found["internal_force_mean_N"] == {"50": 50.0, "95": 95.0, "100": 100.0}
     assert (found["runs"], found["lost"], found["tripped"], found["within_bounds"]) == (100, 1, 1, 98)
-    assert found["reaction_s"] == {"50": 0.1, "95": 0.1, "100": 0.1}
-    assert summary([])["reaction_s"] == {"50": None, "95": None, "100": None}
+    assert found["reaction_s"] == summary([])["reaction_s"] == {"50": None, "95": None, "100": None}
+    assert not {"unnoticed", "tripped_before_fault"} & set(found), "nothing befell anybody"
+
+
+def test_a_fault_that_nobody_notices_counts_as_noticed_later_than_any() -> None:
+    noticed = [a_result(i, tripped=True, tripped_s=5.0 + 0.1 * i, reaction_s=0.1 * i) for i in range(1, 4)]
+    found = summary([*noticed, a_result(4)], STRUCK)
+    assert (found["unnoticed"], found["tripped_before_fault"], found["tripped"]) == (1, 0, 3)
+    assert found["reaction_s"] == {"50": pytest.approx(0.2), "95": None, "100": None}
+    assert summary(noticed, STRUCK)["reaction_s"]["100"] == pytest.approx(0.3)
+
+
+def test_an_arm_that_trips_for_a_fault_does_what_it_should_and_one_that_trips_before_it_does_not() -> None:
+    c = cell()
+    after = [a_result(i, tripped=True, tripped_s=5.2, reaction_s=0.2, tripped_by="UNEXPECTED") for i in range(60)]
+    found = summary([*after, a_result(60)], STRUCK)
+    kept = judged(c, found)
+    assert (kept["missed"], kept["holds"]) == ([], True)
+    assert verdict(found | kept) == (
+        "holds: 61 runs, none lost, none tripped before the fault, 95 % of them below every bound; "
+        "the others noticed it in 60 of 61 runs"
+    )
+    found = summary([*after, a_result(60, tripped=True, tripped_s=4.9)], STRUCK)
+    kept = judged(c, found)
+    assert (kept["missed"], kept["holds"]) == (["tripped_before_fault"], False)
+    assert verdict(found | kept) == (
+        "does not hold: of 61 runs 1 tripped before the fault; the others noticed it in 60 of 61 runs"
+    )
 
 
 def test_a_cell_holds_when_nothing_is_lost_or_tripped_and_the_95_percent_quantiles_are_within_bounds() -> None:
@@ -453,6 +482,17 @@ def test_the_worst_is_lost_before_tripped_before_strained_and_the_soonest_of_the
     assert worst([a_result(0), strained]) is strained
     assert worst([strained, *tripped]) is tripped[1]
     assert worst([strained, *tripped, *lost]) is lost[1]
+
+
+def test_with_faults_the_worst_is_lost_before_tripped_for_nothing_before_unnoticed_before_noticed_late() -> None:
+    late, soon = (a_result(i, tripped=True, tripped_s=5.0 + s, reaction_s=s) for i, s in ((1, 0.7), (2, 0.4)))
+    unnoticed = [a_result(i, internal_force_mean_N=force) for i, force in ((3, 1.0), (4, 2.0))]
+    early = a_result(5, tripped=True, tripped_s=4.9, reaction_s=0.1)
+    lost = a_result(6, lost=True, lost_s=5.5, tripped=True, tripped_s=5.1, reaction_s=0.1)
+    assert worst([soon, late], STRUCK) is late
+    assert worst([soon, late, *unnoticed], STRUCK) is unnoticed[1]
+    assert worst([soon, late, *unnoticed, early], STRUCK) is early
+    assert worst([soon, late, *unnoticed, early, lost], STRUCK) is lost
 
 
 def test_from_when_to_when_figures_count_is_said_with_faults_and_with_runs_that_count_from_their_start() -> None:
