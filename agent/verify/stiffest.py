@@ -91,6 +91,10 @@ class Search:
         found = climb(np.zeros(self._size), lambda _: 0.0, self._missed, range(SHORT), random)
         return self._wanted.radius * (1.0 + max(found.miss.excess, 0.0))
 
+    def here(self) -> float:
+        """The largest radius of all cases at the configured gains."""
+        return self._swept(np.zeros(self._size))[0].radius
+
     def _first(self) -> list[Case]:
         ranges, count = self._ranges, len(self._loop.gains)
         longest, low = ranges.delays[0], ranges.inertias[0]
@@ -169,7 +173,8 @@ def binding(
     """The stated tolerances that bind, each by itself: up to three, that of which the most can stay first; and the
     smallest radius that a short search finds with one of them exact.  inertia: the key that states the arms' error.
 
-    Where no gains are found with less of one, those with which the radius is smallest.
+    Where no gains are found with less of one, those with which the radius is smallest: of the short search, or in all
+    cases at these gains where that one finds some with each.
     """
 
     def radius(key: str, part: float) -> float:
@@ -186,7 +191,11 @@ def binding(
         enough = narrowed[key](parts[key])
         if len(found) < TOLD and Search(poses, loop, enough, wanted).run().kept:  # in all cases, not in the first alone
             found.append(Binding(key, enough))
-    return found or [Binding(key, None) for key in parts], least
+    if found:
+        return found, least
+    radii = {key: Search(poses, loop, narrowed[key](0.0), wanted).here() for key in parts}
+    least = min(radii.values())
+    return [Binding(key, None) for key, radius in radii.items() if radius <= least * (1.0 + KEEPS)], least
 
 
 def _most(key: str, holds: Callable[[str, float], bool]) -> float:
