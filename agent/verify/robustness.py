@@ -20,7 +20,8 @@ from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
 from agent.verify.criterion.examine import Criterion, Found, examine
 from agent.verify.disagreement import Disagreement, disagreement, start_off
 from agent.verify.finding import Finding, Verdict, judged
-from agent.verify.support import HELD_SAG_M, Fate, Load, Statics, Support
+from agent.verify.loads import Load, Loads
+from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
 from drivers.interface import Vector
 
 PLACES = 12  # along the trajectory
@@ -77,20 +78,22 @@ class Robustness:
         }
 
     def _failed(self, found: Support) -> dict[str, Any]:
-        """The worst of each fault, and what it is at every place."""
+        """The worst of each fault, what it is at every place, and what each of the others gives."""
+        limp = self._loads(found.limp)
+        for place, sag_m in zip(limp["along"], found.sag_along_m, strict=True):
+            place["sag_m"] = sag_m
         return {
-            "limp": self._load(found.limp)
-            | {
-                "sag_m": found.sag_m,
-                "object": found.fate.value,
-                "along": [
-                    self._load(load) | {"sag_m": sag_m}
-                    for load, sag_m in zip(found.limp_along, found.sag_along_m, strict=True)
-                ],
-            },
-            "locked": self._load(found.locked) | {"along": [self._load(load) for load in found.locked_along]},
-            "holding": self._load(found.holding) | {"along": [self._load(load) for load in found.holding_along]},
+            "limp": limp | {"sag_m": found.sag_m, "object": found.fate.value},
+            "locked": self._loads(found.locked),
+            "holding": self._loads(found.holding),
         }
+
+    def _loads(self, loads: Loads) -> dict[str, Any]:
+        each = {self.walk.cell.arms[load.arm].name: self._load(load) for load in loads.each}
+        survivors = {
+            name: {key: load[key] for key in ("share_of_stall", "joint", "t_s")} for name, load in each.items()
+        }
+        return self._load(loads.most) | {"along": [self._load(load) for load in loads.along], "survivors": survivors}
 
     def _load(self, load: Load) -> dict[str, Any]:
         arm = self.walk.cell.arms[load.arm]
@@ -153,7 +156,7 @@ class Robustness:
         return [
             judged(
                 "this arm limp", where,
-                f"{self._loaded(found.limp)}; {sag}; at the stated tolerance: {found.fate.value}",
+                f"{self._loaded(found.limp.most)}; {sag}; at the stated tolerance: {found.fate.value}",
                 f"held within {HELD_SAG_M * 1e3:g} mm by {bound:.0%} of stall", holds=found.fate is Fate.HELD,
                 otherwise=Verdict.WARNING,
                 remedy="have a support below the object, a pose with less load, lighter arms or stiffer gains",
@@ -164,7 +167,7 @@ class Robustness:
                     f"≤ {bound:.0%}", holds=load.share <= bound, otherwise=Verdict.WARNING,
                     remedy="move more slowly, or take softer gains",
                 )
-                for what, load in (("locked", found.locked), ("holding", found.holding))
+                for what, load in (("locked", found.locked.most), ("holding", found.holding.most))
             ),
         ]  # fmt: skip
 

@@ -34,6 +34,7 @@ from agent.config import noticing
 from agent.config.cell import Arm, Cell
 from agent.control.errors import HALF_ANGLE
 from agent.control.models import ArmModel, Matrix
+from agent.verify.loads import Loads, loads, unbearable
 from agent.verify.rubbing import Rubbing
 from drivers.interface import Vector
 
@@ -56,29 +57,16 @@ class Fate(enum.StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Load:
-    """The largest part of its stall torque that a joint of the others must give."""
-
-    share: float
-    arm: int
-    joint: int
-    place: int
-
-
-@dataclass(frozen=True, slots=True)
 class Support:
     """What the others bear when one arm fails, over all places."""
 
     noticed_s: float  # after which a locked arm, or one that holds, is supposed to be noticed
-    limp: Load  # what motors give, feed-forward and all, where joints have no friction and torques no bounds
+    limp: Loads  # what motors give, feed-forward and all, where joints have no friction and torques no bounds
     sag_m: float  # as the files say, with both; infinite where it falls
     fate: Fate  # whatever of the stated tolerance is true
-    locked: Load
-    holding: Load
-    limp_along: tuple[Load, ...]  # the same at every place
-    sag_along_m: tuple[float, ...]
-    locked_along: tuple[Load, ...]
-    holding_along: tuple[Load, ...]
+    locked: Loads
+    holding: Loads
+    sag_along_m: tuple[float, ...]  # the same at every place
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,15 +164,12 @@ class Statics:
         limp, locked, holding = (self._loads(others, way) for way in (x, -gone, given - gone))
         return Support(
             noticed_s=noticed_s,
-            limp=_largest(limp),
+            limp=limp,
             sag_m=expected,
             fate=fate,
-            locked=_largest(locked),
-            holding=_largest(holding),
-            limp_along=limp,
+            locked=locked,
+            holding=holding,
             sag_along_m=tuple(sags[1].tolist()),
-            locked_along=locked,
-            holding_along=holding,
         )
 
     def _need(self, failed: int, reality: _Reality) -> Matrix:
@@ -225,26 +210,17 @@ class Statics:
                 break
         return np.full_like(x, math.inf)
 
-    def _loads(self, others: Sequence[int], x: Matrix) -> tuple[Load, ...]:
-        """What is the most at each place."""
+    def _loads(self, others: Sequence[int], x: Matrix) -> Loads:
+        """What the others give with the object at x (T, m)."""
         if not np.isfinite(x).all():  # no way of the object balances the weights
-            return tuple(Load(math.inf, others[0], 0, place) for place in range(len(x)))
-        shares = [np.abs(self._arms[i].law(x)[0]) / self._arms[i].stall for i in others]
-        most, joints = np.array([s.max(axis=1) for s in shares]), [s.argmax(axis=1).tolist() for s in shares]
-        return tuple(
-            Load(float(most[k, place]), others[k], joints[k][place], place)
-            for place, k in enumerate(most.argmax(axis=0).tolist())
-        )
+            return unbearable(others, len(x))
+        return loads({i: np.abs(self._arms[i].law(x)[0]) / self._arms[i].stall for i in others})
 
     def _sizes(self, x: Matrix) -> Vector:
         """(T,) displacements of the object, m; infinite where x is."""
         with np.errstate(invalid="ignore"):
             sizes: Vector = np.linalg.norm(x @ self._P[:, :3], axis=-1)
         return np.where(np.isfinite(x).all(axis=-1), sizes, math.inf)
-
-
-def _largest(loads: Sequence[Load]) -> Load:
-    return max(loads, key=lambda load: load.share)
 
 
 def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matrix, weight: Vector) -> _Arm:

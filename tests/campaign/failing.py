@@ -114,7 +114,7 @@ def wrong(said: Support, kind: FaultKind, cell: Cell, away_m: float) -> bool:
     """Whether the plant did what check says that it does not."""
     if kind is FaultKind.LIMP:
         return (said.fate is Fate.HELD and away_m > HELD_SAG_M) or (said.fate is Fate.NOT_HELD and away_m <= HELD_SAG_M)
-    load = said.locked if kind is FaultKind.LOCKED else said.holding
+    load = (said.locked if kind is FaultKind.LOCKED else said.holding).most
     return load.share <= cell.file.safety.tau_max_fraction_of_stall and away_m > HELD_SAG_M
 
 
@@ -134,7 +134,7 @@ def main() -> int:
         bad += mistaken
         limp = one.fault.kind is FaultKind.LIMP
         open_ += limp and said.fate is Fate.MAY_FALL
-        load = said.locked if one.fault.kind is FaultKind.LOCKED else said.holding
+        load = (said.locked if one.fault.kind is FaultKind.LOCKED else said.holding).most
         words = f"{said.fate.value}, {said.sag_m * 1e3:.1f} mm" if limp else f"{load.share:.0%} of stall"
         say(f"{seed} {one.words}: check {words}; went {away_m * 1e3:.1f} mm{'  WRONG' if mistaken else ''}")
     say(f"{count} cases: check is right in {count - bad}, of which {open_} may fall")

@@ -62,13 +62,15 @@ def test_check_gives_findings_a_verdict_and_the_start() -> None:
     robustness = found.pop("robustness")
     assert set(robustness) == {"spectral_radius", "delay_margin_s", "worst", "one_arm_fails", "internal_wrench"}
     assert shape(robustness["internal_wrench"]["right"]) == {"force_N": "float", "moment_Nm": "float"}
+    each = {"survivors": {"right": {key: kind for key, kind in LOAD.items() if key != "arm"}}}
     assert shape(robustness["one_arm_fails"]["left"]) == {
-        "limp": LOAD | {"sag_m": "float", "object": "str", "along": [LOAD | {"sag_m": "float"}]},
-        "locked": LOAD | {"along": [LOAD]}, "holding": LOAD | {"along": [LOAD]},
+        "limp": LOAD | each | {"sag_m": "float", "object": "str", "along": [LOAD | {"sag_m": "float"}]},
+        "locked": LOAD | each | {"along": [LOAD]}, "holding": LOAD | each | {"along": [LOAD]},
     }  # fmt: skip
     for fault in ("limp", "locked", "holding"):
         worst = robustness["one_arm_fails"]["left"][fault]
         along = worst.pop("along")
+        assert worst["survivors"]["right"].items() <= worst.items()
         assert len({one["t_s"] for one in along}) == len(along) > 40
         assert max(along, key=lambda one: one["share_of_stall"]).items() & worst.items() >= {
             (key, worst[key]) for key in LOAD

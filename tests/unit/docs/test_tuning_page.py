@@ -38,6 +38,6 @@ def test_shares_of_stall_and_internal_wrenches_are_those_of_the_check(name: str)
     assert row[1] == written(found.disagreement)
     alone = checked(name, "controller.alignment.enabled=false") if name != "paper" else found
     assert row[2] == written(alone.disagreement)
-    share = f"{max(s.limp.share for s in found.support) * 100:.0f}"
+    share = f"{max(s.limp.most.share for s in found.support) * 100:.0f}"
     (sentence,) = re.findall(r"^Static shares of .*?: other", PAGE, re.MULTILINE | re.DOTALL)
     assert re.search(rf"\b{share}\b", sentence)
