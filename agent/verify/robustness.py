@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,7 @@ class Robustness:
         for place, sag_m in zip(limp["along"], found.sag_along_m, strict=True):
             place["sag_m"] = sag_m
         return {
+            "noticed_s": found.noticed_s,
             "limp": limp | {"sag_m": found.sag_m, "object": found.fate.value},
             "locked": self._loads(found.locked),
             "holding": self._loads(found.holding),
@@ -153,6 +154,7 @@ class Robustness:
         cell = self.walk.cell
         bound, where = cell.file.safety.tau_max_fraction_of_stall, cell.arms[arm].name
         sag = f"sags by {found.sag_m * 1e3:.2g} mm" if math.isfinite(found.sag_m) else "falls"
+        remedy = "switch on safety.noticing" if found.noticed_s is None else "move more slowly"
         return [
             judged(
                 "this arm limp", where,
@@ -163,13 +165,24 @@ class Robustness:
             ),
             *(
                 judged(
-                    f"this arm {what}", where, f"{self._loaded(load)}, if noticed within {found.noticed_s:g} s",
-                    f"≤ {bound:.0%}", holds=load.share <= bound, otherwise=Verdict.WARNING,
-                    remedy="move more slowly, or take softer gains",
+                    f"this arm {what}", where, self._fought(load, found.noticed_s), f"≤ {bound:.0%}",
+                    holds=load.share <= bound, otherwise=Verdict.WARNING,
+                    remedy=f"{remedy}, or take softer gains",
                 )
                 for what, load in (("locked", found.locked.most), ("holding", found.holding.most))
             ),
         ]  # fmt: skip
+
+    def _fought(self, load: Load, noticed_s: float | None) -> str:
+        """What the others give against an arm that stays, and until when."""
+        if noticed_s is not None:
+            return f"{self._loaded(load)}, if noticed within {noticed_s:g} s"
+        safety, off = self.walk.cell.file.safety, "noticing is off: the others fight it until"
+        mm, mrad = safety.tracking_error_max_m * 1e3, safety.tracking_error_max_rad * 1e3
+        if load.share > (bound := safety.tau_max_fraction_of_stall):
+            given = self._loaded(replace(load, share=bound))
+            return f"up to the torque bound, {given}; {off} a monitor, or their error, holds them"
+        return f"{self._loaded(load)}; {off} they are {mm:g} mm or {mrad:g} mrad off, or as far as the motion goes"
 
     def _loaded(self, load: Load) -> str:
         arm = self.walk.cell.arms[load.arm]

@@ -16,9 +16,10 @@ joints at rest resisting by more than moving ones; in between either may happen.
 of the torque that holds arm and share (the motors of a limp arm give none), for NOT_HELD that of the largest torque.
 
 A locked arm carries itself; the others pull at it by what the desired pose moves on until they notice, in the time
-that is meant for that; where the motion is slow it may take longer.  An arm that holds gives way by its own stiffness,
-and where it braces itself (agent.control.brace) by so much less as its pull back is worth, but no less than a locked
-one.
+that is meant for that; where the motion is slow it may take longer.  Where noticing is off they pull until they are
+held for their errors, or as far as the motion goes (agent.verify.unnoticed).  An arm that holds gives way by its own
+stiffness, and where it braces itself (agent.control.brace) by so much less as its pull back is worth, but no less than
+a locked one.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from agent.control.errors import HALF_ANGLE
 from agent.control.models import ArmModel, Matrix
 from agent.verify.loads import Loads, loads, unbearable
 from agent.verify.rubbing import Rubbing
+from agent.verify.unnoticed import ahead, until_off_track
 from drivers.interface import Vector
 
 HELD_SAG_M = 0.02
@@ -60,7 +62,7 @@ class Fate(enum.StrEnum):
 class Support:
     """What the others bear when one arm fails, over all places."""
 
-    noticed_s: float  # after which a locked arm, or one that holds, is supposed to be noticed
+    noticed_s: float | None  # after which a locked arm, or one that holds, is supposed to be noticed; None: never
     limp: Loads  # what motors give, feed-forward and all, where joints have no friction and torques no bounds
     sag_m: float  # as the files say, with both; infinite where it falls
     fate: Fate  # whatever of the stated tolerance is true
@@ -138,6 +140,9 @@ class Statics:
         self._along = _units(twists[:, :3]) @ P[:, :3].T
         brace = noticing.brace(cell)
         self._brace_N = 0.0 if brace is None else brace.limit_N
+        safety = cell.file.safety
+        self._limits = safety.tracking_error_max_m, safety.tracking_error_max_rad
+        self._ahead = None if safety.noticing.enabled else ahead(cell, instants) @ P.T
         # an arm's weight against its torque: masses and torque constants are independent
         off = math.hypot(tolerance.masses, tolerance.torque_constant)
         low, high = tolerance.friction
@@ -155,15 +160,16 @@ class Statics:
         if min(worst, expected, best) > HELD_SAG_M:
             fate = Fate.NOT_HELD
         noticed_s = NOTICED_S if len(others) == 1 else NOTICED_MORE_S
-        gone = noticed_s * self._speed
         S, S_others = self._arms[failed].S, np.sum([self._arms[i].S for i in others], axis=0)
-        # the holding arm stays where S x + pull = S_others (gone − x)
-        drawn = gone @ S_others.T
-        pull_N = np.clip(np.sum(drawn * self._along, axis=1), 0.0, self._brace_N)
-        given = np.linalg.solve(S + S_others, (drawn - pull_N[:, None] * self._along).T).T
-        limp, locked, holding = (self._loads(others, way) for way in (x, -gone, given - gone))
+        if self._ahead is None:
+            gone = noticed_s * self._speed
+            left = gone - self._given(S, S_others, gone)
+        else:
+            gone = self._until_off_track(self._ahead)
+            left = self._until_off_track(self._ahead @ np.linalg.solve(S + S_others, S).T)
+        limp, locked, holding = (self._loads(others, way) for way in (x, -gone, -left))
         return Support(
-            noticed_s=noticed_s,
+            noticed_s=noticed_s if self._ahead is None else None,
             limp=limp,
             sag_m=expected,
             fate=fate,
@@ -171,6 +177,17 @@ class Statics:
             holding=holding,
             sag_along_m=tuple(sags[1].tolist()),
         )
+
+    def _given(self, S: Matrix, S_others: Matrix, gone: Matrix) -> Matrix:
+        """(T, m) by which an arm that holds gives way: it stays where S x + pull = S_others (gone − x)."""
+        drawn = gone @ S_others.T
+        pull_N = np.clip(np.sum(drawn * self._along, axis=1), 0.0, self._brace_N)
+        given: Matrix = np.linalg.solve(S + S_others, (drawn - pull_N[:, None] * self._along).T).T
+        return given
+
+    def _until_off_track(self, errors: Matrix) -> Matrix:
+        """(T, m) of the others' errors (T, A, m) in the order of time."""
+        return until_off_track(errors @ self._P, *self._limits) @ self._P.T
 
     def _need(self, failed: int, reality: _Reality) -> Matrix:
         """Wrench (T, m) that holds object and limp arm."""

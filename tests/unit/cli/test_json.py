@@ -64,6 +64,7 @@ def test_check_gives_findings_a_verdict_and_the_start() -> None:
     assert shape(robustness["internal_wrench"]["right"]) == {"force_N": "float", "moment_Nm": "float"}
     each = {"survivors": {"right": {key: kind for key, kind in LOAD.items() if key != "arm"}}}
     assert shape(robustness["one_arm_fails"]["left"]) == {
+        "noticed_s": "NoneType",
         "limp": LOAD | each | {"sag_m": "float", "object": "str", "along": [LOAD | {"sag_m": "float"}]},
         "locked": LOAD | each | {"along": [LOAD]}, "holding": LOAD | each | {"along": [LOAD]},
     }  # fmt: skip

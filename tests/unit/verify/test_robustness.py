@@ -34,6 +34,11 @@ def findings(report: CheckReport) -> dict[str, Finding]:
     return {f.what: f for f in report.findings if f.what.startswith("stable") or f.what.startswith("longest")}
 
 
+def of_left(report: CheckReport) -> dict[str, Finding]:
+    """What is said of the left arm."""
+    return {f.what: f for f in report.findings if f.where == "left"}
+
+
 def test_the_worst_case_is_named_with_its_reality() -> None:
     found = findings(looked_at(first, "paper"))
     alone = found["stable: arm alone"]
@@ -46,9 +51,30 @@ def test_the_worst_case_is_named_with_its_reality() -> None:
 
 
 def test_a_locked_arm_is_judged_by_the_time_until_it_is_noticed_which_is_said() -> None:
-    said = {f.what: f.found for f in looked_at(first, "paper").findings if f.where == "left"}
+    report = examine(gentle("paper_real"), thorough=True)
     for what in ("this arm locked", "this arm holding"):
-        assert said[what].endswith(" s), if noticed within 0.1 s")
+        found = of_left(report)[what]
+        assert found.found.endswith(" s), if noticed within 0.1 s")
+        assert found.verdict is Verdict.OK
+
+
+def test_an_arm_that_nobody_notices_is_fought_up_to_the_torque_bound_which_is_a_warning_and_no_refusal() -> None:
+    report = looked_at(first, "paper")
+    assert report.ok
+    for what in ("this arm locked", "this arm holding"):
+        found = of_left(report)[what]
+        assert found.verdict is Verdict.WARNING
+        assert found.found.startswith("up to the torque bound, 50% of stall (right ")
+        assert found.found.endswith("noticing is off: the others fight it until a monitor, or their error, holds them")
+        assert found.remedy == "switch on safety.noticing, or take softer gains"
+
+
+def test_within_the_bound_it_is_said_by_which_error_an_arm_that_nobody_notices_is_fought() -> None:
+    small = ("trajectory.p_amplitude_m=[1e-3, 0.0, 0.0]", "trajectory.angle_rad=0.0")
+    found = of_left(examine(gentle("paper", *small), thorough=True))["this arm holding"]
+    assert found.verdict is Verdict.OK
+    until = "the others fight it until they are 50 mm or 300 mrad off, or as far as the motion goes"
+    assert found.found.endswith(f" s); noticing is off: {until}")
 
 
 def test_jitter_counts_as_delay_and_backlash_is_said_to_count_nowhere() -> None:

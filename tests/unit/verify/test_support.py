@@ -19,6 +19,7 @@ from tests.support.control.criterion_cells import gentle
 from tests.support.control.level_wx200 import LEVEL
 from tests.support.plant.limp import sag_of_limp
 
+NOTICED = "safety.noticing.enabled=true"
 HOLDS_DESIRED = "controller.alignment.track_per_s=0.0"  # an arm without alignment holds where it has sagged to
 
 
@@ -165,15 +166,15 @@ def test_more_arms_share_the_weight_of_a_limp_one() -> None:
 
 
 def test_a_locked_arm_is_pulled_harder_than_one_that_holds_and_none_at_rest() -> None:
-    cell = gentle("paper")
+    cell = gentle("paper", NOTICED)
     moving = without(cell, 0, *np.linspace(0.0, 15.0, 16).tolist())
     assert moving.locked.most.share > moving.holding.most.share > 0.1
-    still = gentle("paper", "trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
+    still = gentle("paper", NOTICED, "trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
     rest = without(still, 0, 3.0)
     assert rest.locked.most.share == pytest.approx(rest.holding.most.share)
 
 
-WEIGHTLESS = ("world.gravity_m_per_s2=[0.0, 0.0, 0.0]", "controller.friction_feedforward=false")
+WEIGHTLESS = (NOTICED, "world.gravity_m_per_s2=[0.0, 0.0, 0.0]", "controller.friction_feedforward=false")
 
 
 def test_the_pull_at_a_locked_arm_is_the_law_on_the_way_until_it_is_noticed() -> None:
@@ -215,7 +216,7 @@ def test_one_that_braces_itself_asks_each_of_the_others_for_its_part_of_that_pul
 
 @pytest.mark.parametrize(("name", "noticed_s"), [("paper", 0.1), ("three_wx250s", 0.5)])
 def test_what_one_place_says_by_itself_is_what_it_says_among_others(name: str, noticed_s: float) -> None:
-    cell = gentle(name)
+    cell = gentle(name, NOTICED)
     found = without(cell, 0, 0.5, 3.0)
     assert found.noticed_s == noticed_s
     for place, t in enumerate((0.5, 3.0)):
@@ -227,6 +228,37 @@ def test_what_one_place_says_by_itself_is_what_it_says_among_others(name: str, n
         assert found.sag_along_m[place] == pytest.approx(alone.sag_m, rel=0.05)
     assert found.limp.most == max(found.limp.along, key=lambda load: load.share)
     assert found.sag_m == max(found.sag_along_m)
+
+
+UNNOTICED = (*WEIGHTLESS, "safety.noticing.enabled=false")
+
+
+def test_unnoticed_the_others_pull_by_the_error_that_holds_them_at_an_arm_that_is_locked_or_holds() -> None:
+    narrow = ("safety.tracking_error_max_m=0.01", "safety.tracking_error_max_rad=3.0")
+    cell, at_s = gentle("paper", *UNNOTICED, *narrow, "trajectory.angle_rad=0.0"), 0.0
+    desired, arm = cell.trajectory().at(at_s), cell.arms[1]
+    model, offline, P = cell.model(arm), cell.offline(arm), cell.model(cell.arms[0]).task_basis
+    q = reach(arm, model, placement(desired.p, desired.quat), np.array(arm.entry.q_near_rad), "")
+    k = offline.gains.k_v[0] * offline.gains.k_p[0] + offline.load_share
+    J = P @ model.task_basis.T @ model.jacobian(q)
+    expected = np.abs(J.T @ P @ np.array([0.01 * k, 0.0, 0.0, 0.0, 0.0, 0.0])) / arm.tau_stall_Nm
+    found = without(cell, 0, at_s)
+    assert found.noticed_s is None
+    assert found.locked.most.share == pytest.approx(expected.max(), rel=1e-3)
+    assert found.holding.most.share == pytest.approx(expected.max(), rel=1e-3)
+
+
+def test_unnoticed_they_pull_by_what_the_motion_goes_where_it_goes_less_than_that() -> None:
+    short = ("trajectory.p_amplitude_m=[0.004, 0.0, 0.0]", "trajectory.angle_rad=0.0")
+    once, twice = (without(gentle("paper", *UNNOTICED, *short), 0, t) for t in (0.0, 3.75))
+    assert twice.locked.most.share == pytest.approx(2.0 * once.locked.most.share, rel=0.05)
+    assert twice.holding.most.share == pytest.approx(0.5 * twice.locked.most.share, rel=0.01)
+
+
+def test_unnoticed_three_reach_that_error_though_one_that_holds_gives_way() -> None:
+    cell = gentle("three_wx250s", *UNNOTICED, "safety.tracking_error_max_m=0.001")
+    found = without(cell, 0, 3.0)
+    assert found.holding.most.share == pytest.approx(found.locked.most.share, rel=0.05)
 
 
 def test_every_survivor_has_a_part_of_its_own_and_the_largest_is_that_of_the_fault() -> None:
