@@ -13,6 +13,7 @@ from agent.modes import Mode
 from agent.report.arithmetic import NAN, mean, most, rms
 from agent.report.errors import complaints, disagreement, left_apart, pose_errors
 from agent.report.grip import grip_results
+from agent.report.loss import loss_of
 from agent.report.phases import session_of
 from agent.report.prepared import Prepared, prepare
 from agent.report.rehearsal import added_to, hil_results
@@ -76,6 +77,7 @@ def summarise_prepared(run: Prepared) -> Results:
         phases=found,
         set_down_error_m=set_down[0],
         set_down_error_rad=set_down[1],
+        loss=loss_of(run),
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from agent.log.columns import Table
 from agent.log.when import trajectory_time
+from agent.report.loss import told
 from agent.report.prepared import Prepared
 from agent.telemetry.row.event import Event, Level
 
@@ -46,7 +47,7 @@ class Moment:
 
 
 def moments_of(run: Prepared) -> list[Moment]:
-    """The events of a run that has a row, by its time."""
+    """The events of a run that has a row, by its time, and what became of the object by the plant's rows."""
     by_wall = _by_the_wall(run)
     found = [
         Moment(
@@ -56,7 +57,7 @@ def moments_of(run: Prepared) -> list[Moment]:
             e.level >= Level.WARN,
             trajectory_time(e, _rows(run, e)),
         )
-        for e in run.log.events
+        for e in [*run.log.events, *told(run)]
     ]
     return sorted(found, key=lambda moment: moment.t)
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from agent.atomic import keep_existing
 from agent.report.gallery import pictures
+from agent.report.loss import told
 from agent.report.metrics import summarise_prepared
 from agent.report.page import render
 from agent.report.picture import Picture
@@ -67,7 +68,8 @@ def write_report(
     with folder_of(out_dir) as draft:
         images = _opening(run, still, draft)
         images += [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in shown]
-        page = render(results, images, log.events)
+        events = sorted([*log.events, *told(run)], key=lambda event: event.utc_ns)
+        page = render(results, images, events)
         (draft / PAGE).write_text(page, encoding="utf-8")
         put_results(results, draft)
     figures = {p.stem: out_dir / f"{p.stem}.png" for p, _ in images}

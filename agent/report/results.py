@@ -14,6 +14,7 @@ from agent.log.runinfo import Bounded, RunInfo
 from agent.report.arithmetic import NAN
 from agent.report.decay import AttitudeDecay, PositionDecay
 from agent.report.grip import GripResults
+from agent.report.loss import Loss, loss_keys
 from agent.report.phases import Phase
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
 from agent.report.rehearsal import HilResults
@@ -173,6 +174,7 @@ class Results:
     phases: tuple[Phase, ...] = ()  # of a session from rest to rest
     set_down_error_m: Metres = NAN  # between where the object stands after a session and where it stood before
     set_down_error_rad: Radians = NAN
+    loss: Loss | None = None  # of the object or a grasp; None: nothing tells the truth
 
     @property
     def error_source(self) -> str:
@@ -275,6 +277,7 @@ class Results:
             "arm_disagreement_left_m": self.arm_disagreement_left_m,
             "internal_force_mean_N": self.internal_force_mean_N,
             "events": self.events,
+            **loss_keys(self.loss),
             "by_plant": self.by_plant,
             "by_arm": self.by_arm,
             "rows": self.rows,

@@ -59,6 +59,8 @@ def lines(results: Results) -> list[Line]:
     ]
     if results.rehearsing:
         found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(results.rehearsing)))
+    if results.loss:
+        found += [Line(what, figure, bound, Judgement.NOT_MET) for what, figure, bound in results.loss.lines()]
     found += [Line("HELD before its end", f"{arm} from {instant(t)}") for arm, t in _held(results)]
     if math.isfinite(results.set_down_error_m):
         off = f"{millimetres(results.set_down_error_m)}, {milliradians(results.set_down_error_rad)}"
@@ -68,8 +70,9 @@ def lines(results: Results) -> list[Line]:
 
 def _disagreement(results: Results) -> str:
     apart_m, left_m = results.arm_disagreement_m, results.arm_disagreement_left_m
-    together = "" if math.isnan(apart_m + left_m) else f", and have found together to {millimetres(left_m)}"
-    return millimetres(apart_m) + together
+    parted = results.loss is not None and not results.loss.kept  # their shifts then say nothing of a common object
+    together = f", and have found together to {millimetres(left_m)}"
+    return millimetres(apart_m) + ("" if parted or math.isnan(apart_m + left_m) else together)
 
 
 def _held(results: Results) -> list[tuple[str, float]]:

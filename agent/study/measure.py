@@ -13,14 +13,13 @@ from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
 from agent.control.quaternion import angle_between
+from agent.report.loss import LOST_M, is_lost
 from agent.report.series import internal_wrenches, largest_force
 from agent.study.fault import Fault
 from agent.study.lab import Laboratory, Run
 from drivers.interface import DriverError, Vector
 from sim_backend.physics.spec import PlantError
 
-LOST_M: Final = 0.1  # an object so far from where it should be has been dropped or thrown
-LOST_RAD: Final = 1.0
 AFTER_TRIP_S: Final = 3.0  # how long a run goes on once an arm has given up following
 POSITION_BEYOND_ANCHOR_M: Final = 1e-3  # bounds: beyond what the anchor sees wrongly itself
 ATTITUDE_BEYOND_ANCHOR_RAD: Final = 6e-3
@@ -124,7 +123,7 @@ class _Seen:
         self._errors.append((t, off_m, off_rad, own_m, own_rad))
         self._quat.append(quat)
         self._wrench.append(wrench)
-        if off_m > LOST_M or off_rad > LOST_RAD:
+        if is_lost(off_m, off_rad):
             return f"t = {t:.3f} s: the object is off by {off_m * 1e3:.0f} mm, {off_rad:.2f} rad"
         return ""
 

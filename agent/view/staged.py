@@ -24,7 +24,9 @@ NEEDS: Final[Needs] = {  # of a log of another release
         "sequence", "stamp_ns", "utc_ns", "mode", "flags", "joint_count", "t", "q", "p_object_des", "quat_object_des",
         "p_object", "quat_object", "e_eta", "wrench_cmd", "wrench_internal",
     }),
-    PLANT_STATE.ros_name: frozenset({"sequence", "stamp_ns", "utc_ns", "t", "p_object", "quat_object", "grasp_wrench"}),
+    PLANT_STATE.ros_name: frozenset({
+        "sequence", "stamp_ns", "utc_ns", "t", "p_object", "quat_object", "grasp_wrench", "contact_error_m",
+    }),
 }  # fmt: skip
 TEXT_MAX: Final = 40
 _CAMERA_LOOKS: Final = 40  # instants that the camera must hold

@@ -1,0 +1,124 @@
+"""Whether the object was lost, when, and whose grasp was open: from the plant's rows, by the criterion of a study.
+
+Where the object should be is the desired pose of the arms' rows: the trajectory's, and what an arm holds once it holds.
+Once an arm hands the object over, in a session, nothing counts: it stands, and grasps are open because they may be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.modes import Mode
+from agent.report.arithmetic import NAN, most
+from agent.report.numbers import instant, number
+from agent.report.quantity import Better, Unit
+from agent.report.series import Array, PoseSeries, attitude_error, column, component, rotation_angle
+from agent.telemetry.row.event import Event, Level
+
+if TYPE_CHECKING:
+    from agent.report.prepared import Prepared
+
+LOST_M: Final = 0.1  # an object so far from where it should be has been dropped or thrown
+LOST_RAD: Final = 1.0
+PLANT: Final = "plant"  # who tells of a loss
+
+
+def is_lost(off_m: Array | float, off_rad: Array | float) -> NDArray[np.bool_]:
+    """Whether an object so far from where it should be, (k,) or one number, is lost; what is no number is not."""
+    return np.asarray((np.asarray(off_m) > LOST_M) | (np.asarray(off_rad) > LOST_RAD))
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """What became of the object and its grasps during the motion, by the truth, on ticks of a hold too."""
+
+    object_lost_s: Annotated[float, Unit("s", Better.NEITHER)]  # of the run, first row with it lost; NaN: never
+    object_off_max_m: Annotated[float, Unit("m")]  # farthest from where it should be
+    object_off_max_rad: Annotated[float, Unit("rad")]
+    grasp_open_s: Mapping[str, float]  # of each arm whose grasp has opened, the first row with it open
+    grasp_gap_max_m: Mapping[str, float]  # of each arm, while its grasp was closed: what gave way and what slipped
+
+    @property
+    def lost(self) -> bool:
+        """Whether the object was lost."""
+        return not math.isnan(self.object_lost_s)
+
+    @property
+    def kept(self) -> bool:
+        """Whether the object was kept, by the grasps of all arms."""
+        return not self.lost and not self.grasp_open_s
+
+    def lines(self) -> list[tuple[str, str, str]]:
+        """What a person must be told, as name, figure and bound; open grasps in the order in which they opened."""
+        opened = sorted(self.grasp_open_s.items(), key=lambda grasp: grasp[1])
+        found = [("GRASP OPEN", f"{arm} from {instant(t)}", "none") for arm, t in opened]
+        if self.lost:
+            off = f"{number(self.object_off_max_m, 'm')}, {number(self.object_off_max_rad, 'rad')}"
+            bound = f"≤ {number(LOST_M, 'm', digits=1)}, {number(LOST_RAD, 'rad', digits=1)}"
+            found.insert(0, ("OBJECT LOST", f"from {instant(self.object_lost_s)}, off by {off}", bound))
+        return found
+
+
+def loss_keys(loss: Loss | None) -> dict[str, Any]:
+    """The keys of results.json that tell of it; null without the truth."""
+    keys = {f.name: None if loss is None else getattr(loss, f.name) for f in fields(Loss)}
+    return {"object_lost": None if loss is None else loss.lost, **keys}
+
+
+@np.errstate(over="ignore", invalid="ignore")  # poses of a run that went astray: what is no number counts as none
+def loss_of(run: Prepared) -> Loss | None:
+    """What the plant's rows of the motion say; None without any that can be held against the arms'."""
+    if run.true is None or run.grasps is None:
+        return None
+    until_s = _handed_over_s(run)
+    carried, judged = run.grasps.t < until_s, run.true.t < until_s
+    off_m, off_rad = (off[judged] for off in _off(run.true))
+    lost = np.flatnonzero(is_lost(off_m, off_rad))
+    t, opened, largest = run.grasps.t[carried], {}, {}
+    for i, arm in enumerate(run.info.arms):
+        gap = component(run.grasps.plant, "contact_error_m", i)[carried]
+        is_open, largest[arm.name] = np.isnan(gap), most(gap)
+        if is_open.any() and not is_open.all():  # of a grasp that was never closed nothing is known
+            opened[arm.name] = float(t[np.argmax(is_open)])
+    lost_s = float(run.true.t[judged][lost[0]]) if len(lost) else NAN
+    return Loss(lost_s, most(off_m), most(off_rad), opened, largest)
+
+
+def told(run: Prepared) -> list[Event]:
+    """The same as events, which nobody told during the run, by time; none without the truth."""
+    loss = loss_of(run)
+    if loss is None or run.grasps is None:
+        return []
+    found = [(t, f"the grasp of {name} is open") for name, t in loss.grasp_open_s.items()]
+    found += [(loss.object_lost_s, "the object is lost")] if loss.lost else []
+    t, utc_ns = run.grasps.t, run.grasps.plant["utc_ns"]
+    return [
+        Event(int(utc_ns[np.argmin(np.abs(t - when))]), PLANT, Level.ERROR, text, {"t": when})
+        for when, text in sorted(found)
+    ]
+
+
+def _off(true: PoseSeries) -> tuple[Array, Array]:
+    """How far the object is from where it should be, (k,) m and rad.
+
+    An arm that cannot be commanded desires nothing; the object should then be where it last should.
+    """
+    wanted = np.asarray(np.isfinite(np.hstack([true.p_des, true.quat_des])).all(axis=1))
+    last = np.maximum.accumulate(np.where(wanted, np.arange(len(wanted)), 0))
+    off_m = np.asarray(np.linalg.norm(true.p - true.p_des[last], axis=1))
+    return off_m, rotation_angle(attitude_error(true.quat_des[last], true.quat))
+
+
+def _handed_over_s(run: Prepared) -> float:
+    """When the first arm of a session gives the object back; infinite where none does."""
+    first = math.inf
+    for rows in run.rows.values():
+        over = column(rows, "t")[rows["mode"] > Mode.FAULT]
+        first = min([first, *over[:1].tolist()])
+    return first
