@@ -9,8 +9,10 @@ from typing import Final
 
 import pinocchio as pin
 
+from agent.config.schema.simulation import Simulation
 from agent.make.wish import ArmWish, MotionKind, MotionWish, ShapeKind, Vec3, Wish
 from drivers.interface import Vector
+from drivers.substeps import fewest_substeps
 
 WAIT_S: Final = 1.0
 SETTLE_S: Final = 2.0
@@ -114,6 +116,9 @@ def _control(wish: Wish, gains: Gains) -> Iterator[str]:
     yield f"\n[controller.observer]\nposition_gain = 0.2\nvelocity_gain = {gains.velocity_gain!r}"
     yield "velocity_from_position_per_s = 1.0"
     yield f"\n[simulation]\nready_s = {READY_S!r}  # the arms wait so long before the start"
+    fewest = fewest_substeps(wish.rate_hz)
+    if fewest > Simulation.default().substeps_per_cycle:
+        yield f"substeps_per_cycle = {fewest}  # the least at this rate"
     transient = RAMP_S if wish.motion.kind is MotionKind.SINUSOID else SETTLE_S
     yield "\n# for real arms: from their rest to the object and back (docs/session.md); every key has a default"
     yield "# [session]\n# lift_m = 0.02  # the object stands so far below its start pose"

@@ -14,6 +14,7 @@ from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.counts import PWM_UNIT_DUTY, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.dynamixel.servo.models import RATED_VOLTAGE_V
 from drivers.interface import Vector
+from drivers.substeps import substep_s
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.calendar import Opening, Push
 from sim_backend.physics.friction import FrictionSpec
@@ -56,7 +57,7 @@ def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
             np.array(obj.quat_start),
         ),
         gravity=cell.gravity,
-        substep_s=1.0 / cell.file.rate_hz / cell.file.simulation.substeps_per_cycle,
+        substep_s=substep_s(cell.file.rate_hz, cell.file.simulation.substeps_per_cycle),
         grasp=_pads(cell),
         happenings=_happenings(cell),
     )

@@ -12,12 +12,12 @@ import numpy as np
 import pinocchio as pin
 
 from drivers.interface import Refusal, Vector
+from drivers.substeps import BAUMGARTE_D_PER_S, LONGEST_S, MAX_BAUMGARTE_STEP, damps
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.calendar import Opening, Push
 from sim_backend.physics.friction import FrictionSpec
 
 QUATERNION_TOLERANCE: Final = 1e-9
-MAX_BAUMGARTE_STEP: Final = 0.5
 WHOLE_SUBSTEPS_TOLERANCE: Final = 1e-9
 
 
@@ -207,7 +207,7 @@ class PlantSpec:
     gravity: Vector  # (3,) m/s², world axes
     substep_s: float = 1e-3
     baumgarte_p_per_s2: float = 2000.0  # pulls a grasp that has drifted back to zero …
-    baumgarte_d_per_s: float = 90.0  # … critically damped: 2 √2000 = 89.4
+    baumgarte_d_per_s: float = BAUMGARTE_D_PER_S  # … critically damped: 2 √2000 = 89.4
     proximal_mu: float = 1e-3  # a smaller one lets rounding grow in the wrenches that planar arms leave undetermined
     proximal_accuracy: float = 1e-10
     proximal_iterations: int = 20
@@ -228,11 +228,14 @@ class PlantSpec:
                 expected="3 finite numbers, m/s²",
                 remedy="correct the world of the cell",
             )
-        if not 0 < self.substep_s <= 0.01:
+        if not 0 < self.substep_s <= LONGEST_S:
             raise PlantError(
-                "substep_s", found=self.substep_s, expected="0 < substep_s <= 0.01", remedy="use substep_of(1 / rate)"
+                "substep_s",
+                found=self.substep_s,
+                expected=f"0 < substep_s <= {LONGEST_S:g}",
+                remedy="use substep_of(1 / rate)",
             )
-        if not (0 <= self.substep_s * self.baumgarte_d_per_s <= MAX_BAUMGARTE_STEP):
+        if not damps(self.substep_s, self.baumgarte_d_per_s):
             raise PlantError(
                 "baumgarte_d_per_s",
                 found=f"{self.baumgarte_d_per_s:g} with substep_s {self.substep_s:g}",

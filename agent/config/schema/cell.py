@@ -232,7 +232,9 @@ class CellFile(Strict):
                     "floating", found="[hil] beside it", expected="one of them",
                     remedy="arms that float rehearse nothing: remove one table",
                 )  # fmt: skip
-        if self.driver is DriverKind.DYNAMIXEL:
+        if self.driver is DriverKind.SIM:
+            self.simulation.require_short_steps(self.rate_hz)
+        else:
             for a in self.arms:
                 if a.dynamixel is None:
                     raise wrong(

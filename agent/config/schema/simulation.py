@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from agent.config.schema.reality import Reality
 from agent.config.schema.types import AS_LIST, Effort, Instant, Length, Name, Smoothing, Strict, wrong
+from drivers.substeps import fewest_substeps, is_short_enough, substep_s
 
 
 class Effects(Strict):
@@ -91,7 +92,7 @@ class Simulation(Strict):
     ready_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0
     """Lockstep: the arms wait so long before the common start."""
     substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
-    """Integration steps per control cycle."""
+    """Integration steps per control cycle; 180 a second at least, where the arms are simulated."""
     observe_rate_hz: Annotated[float, Field(ge=0.01, le=2000.0)] = 50.0
     """Rate of the truth in the log."""
     friction_smooth_rad_per_s: Smoothing = 0.01
@@ -108,6 +109,16 @@ class Simulation(Strict):
     """Pushes on the object."""
     opening: list[Opening] = Field(default_factory=list)
     """Grippers that open."""
+
+    def require_short_steps(self, rate_hz: float) -> None:
+        """Refuse integration steps that are too long for the plant.  Raises PydanticCustomError."""
+        if not is_short_enough(substep_s(rate_hz, self.substeps_per_cycle)):
+            raise wrong(
+                "simulation.substeps_per_cycle",
+                found=f"{self.substeps_per_cycle} at rate_hz = {rate_hz:g}",
+                expected=f"{fewest_substeps(rate_hz)} at least: longer steps let simulated grasps swing by themselves",
+                remedy="give so many, or a higher rate_hz",
+            )
 
     def require_fit(self, joints: Mapping[str, int]) -> None:
         """Refuse what befalls arms that are not there; joints: their number by arm.  Raises PydanticCustomError."""

@@ -123,6 +123,11 @@ VECTORS = {
 }
 
 
+BESIDE = {  # what else the ends of a range need
+    "rate_hz": "simulation.substeps_per_cycle=9",
+}
+
+
 def count_of(key: str) -> int | None:
     """How many numbers the key's value holds; None: one that stands by itself."""
     last = key.rsplit(".", maxsplit=1)[-1]
@@ -135,6 +140,8 @@ def read(path: Any, key: str, value: float) -> CellFile:
     document, count = parse(path.read_bytes(), path), count_of(key)
     value = int(value) if key.endswith(".seed") and value == int(value) else value
     written = value if count is None else [value] * count
+    if key in BESIDE:
+        override(document, BESIDE[key])
     override(document, f"{key}={tomli_w.dumps({'v': written}).partition('=')[2].strip()}")
     return validate(CellFile, document, "cell.toml")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from agent.config.schema.reality import Reality
 from agent.process.describe import run_info
 from agent.process.simulated import plant_spec
 from drivers.interface import Refusal
+from drivers.substeps import fewest_substeps
 from tests.support.starts import start_joints
 
 
@@ -121,6 +123,25 @@ def test_a_delay_jitters_by_no_more_than_there_is_of_it() -> None:
 def test_a_jitter_with_which_torques_overtake_each_other_is_refused() -> None:
     with pytest.raises(Refusal, match=r"tolerance\.delay_jitter_s.*found 0\.0025 s.*below half a period, 0\.0025 s"):
         cell("paper", "tolerance.delay_jitter_s=0.0025")
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 36.0, 45.0, 120.0, 150.0, 179.9])
+def test_a_cell_whose_steps_the_plant_does_not_take_is_refused_with_how_many_are_enough(rate_hz: float) -> None:
+    enough = fewest_substeps(rate_hz)
+    keys = ("loop_delay_s=0.0", f"rate_hz={rate_hz}", "simulation.substeps_per_cycle=")
+    for fewer in (1, enough - 1):
+        said = rf"simulation\.substeps_per_cycle.*found {fewer} at rate_hz = {rate_hz:g}, expected {enough} at least"
+        with pytest.raises(Refusal, match=said):
+            cell("paper_ideal", *keys[:2], f"{keys[2]}{fewer}")
+        cell("paper_ideal", *keys[:2], f"{keys[2]}{fewer}", "driver=dynamixel")
+    taken = cell("paper_ideal", *keys[:2], f"{keys[2]}{enough}")
+    spec = plant_spec(taken, start_joints(taken))
+    with pytest.raises(Refusal, match=r"shorten substep_s|substep_of"):
+        replace(spec, substep_s=1.0 / rate_hz / (enough - 1))
+
+
+def test_one_step_a_cycle_is_enough_from_180_hz_on() -> None:
+    assert [fewest_substeps(rate_hz) for rate_hz in (60.0, 90.0, 179.0, 180.0, 2000.0)] == [3, 2, 2, 1, 1]
 
 
 def test_values_that_are_given_lie_over_those_of_a_seed() -> None:

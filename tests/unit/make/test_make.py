@@ -90,6 +90,13 @@ def test_usual_gains_that_a_slow_loop_cannot_take_are_refused() -> None:
         Maker(SLOW).make(tune=False)
 
 
+@pytest.mark.parametrize(("rate_hz", "substeps"), [(20.0, 9), (30.0, 6), (36.0, None)])
+def test_a_cell_of_a_slow_loop_is_written_with_steps_that_the_plant_takes(rate_hz: float, substeps: int | None) -> None:
+    text = Maker(replace(CELLS["mixed"], rate_hz=rate_hz))._placed()[0]
+    assert tomllib.loads(text)["simulation"].get("substeps_per_cycle") == substeps
+    assert cell_from_toml(text.encode(), "mine.toml").file.rate_hz == rate_hz
+
+
 @pytest.mark.long  # a search for others is above
 def test_usual_gains_that_a_slow_loop_cannot_take_do_not_keep_others_from_being_found(
     monkeypatch: pytest.MonkeyPatch,
