@@ -102,7 +102,7 @@ def inject(
 
         inject_listeners(loaded, faults, seed, out, as_json=as_json)
         return
-    examine(loaded)
+    examine(loaded).require()
     run = rehearse(loaded, faults, seed)
     found = measured(run)
     if out is not None:

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from agent.cli.faults import _faults, _length
+from agent.config.cell import load_cell
 from agent.faults.catalogue import rows
 from agent.faults.plan import NAMES
 from agent.log.read import read_log
 from agent.log.when import in_lockstep
 from agent.modes import Mode
+from agent.verify.check import examine
 from tests.support.command import coop
 from tests.support.pages import told
 
@@ -117,6 +119,22 @@ def test_a_motion_that_leaves_the_arms_reach_is_refused_before_anything_runs() -
     done = coop("faults", "inject", "paper_real", "bus-off", "--at", "1", "--duration", "4", *far)
     assert done.code == 2
     assert "unreachable by" in done.err
+
+
+def test_a_cell_that_check_refuses_is_not_rehearsed() -> None:
+    heavy = ("two_wx200", "--set", "object.mass_kg=5")
+    done = coop("faults", "inject", *heavy[:1], "servo-off", *heavy[1:])
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith("coop: torque along the trajectory")
+    assert coop("check", *heavy).code == 2
+
+
+def test_check_refuses_no_cell_that_a_row_of_the_list_changes() -> None:
+    """Else a person could not let the row happen by its id."""
+    changed = {(run.cell, run.set) for row in rows() for run in row.runs if run.set}
+    assert len(changed) > 5
+    for cell, changes in sorted(changed):
+        assert examine(load_cell(Path(cell), changes)).ok, changes
 
 
 @pytest.mark.parametrize(("said_s", "at_s"), [(None, 3.0), (0.0, 0.0), (1.5, 1.5)])
