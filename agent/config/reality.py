@@ -21,7 +21,8 @@ def reality_of(cell: Cell) -> Reality | None:
         return given
     drawn = draw(cell.file.tolerance, given.seed, cell)
     arms = {name: arm.model_copy(update=_given(given.arms.get(name))) for name, arm in drawn.arms.items()}
-    return drawn.model_copy(update=_given(given) | {"seed": None, "arms": arms})
+    real = drawn.model_copy(update=_given(given) | {"seed": None, "arms": arms})
+    return real.model_copy(update={"delay_jitter_s": min(real.delay_jitter_s, real.delay_s or 0.0)})
 
 
 def _given(values: ArmReality | Reality | None) -> dict[str, Any]:

@@ -223,6 +223,8 @@ class CellFile(Strict):
             )  # fmt: skip
         self.tolerance.require_fit(self.rate_hz)
         self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})
+        if self.simulation.reality is not None:
+            self.simulation.reality.require_delay(self.simulated_delay_s, self.tolerance, self.rate_hz)
         if self.hil is not None:
             self.hil.require_fit(names, self.rate_hz, simulated=self.driver is DriverKind.SIM)
         if self.floating is not None:

@@ -10,6 +10,7 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
+from agent.config.schema.tolerance import Tolerance, refuse_overtaking
 from agent.config.schema.types import AS_LIST, Name, Strict, wrong
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1)]  # m
@@ -21,6 +22,7 @@ Times = Annotated[float, Field(ge=0.05, le=20.0)]  # what the files say
 Seconds = Annotated[float, Field(ge=0.0, le=0.5)]
 Rub = Annotated[float, Field(ge=0.0, le=20.0)]  # N·m
 LoadPart = Annotated[float, Field(ge=0.0, le=0.9)]  # of the motor's torque
+STIFFNESSES: Final = ("pads_N_per_m", "pads_Nm_per_rad")
 NOTHING = (0.0, 0.0, 0.0)
 PER_JOINT: Final = ("zeros_rad", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad")
 
@@ -66,7 +68,7 @@ class Reality(Strict):
     object_centre_m: Offsets = NOTHING
     """True centre of mass less the object's frame, object axes."""
     pads_N_per_m: Annotated[float, Field(ge=10.0, le=1e8)] | None = None
-    """Stiffness of finger pads; none: [simulation.grasp]."""
+    """Stiffness of finger pads; none: [simulation.grasp], without which it goes with the other stiffness."""
     pads_Nm_per_rad: Annotated[float, Field(ge=0.01, le=1e6)] | None = None
     """The same in rotation."""
     pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
@@ -74,9 +76,39 @@ class Reality(Strict):
     delay_s: Seconds | None = None
     """Loop delay of the plant; none: as believed."""
     delay_jitter_s: Seconds = 0.0
-    """By which it differs from tick to tick, at most."""
+    """By which it differs from tick to tick; at most the delay, and below half a period."""
     arms: dict[Name, ArmReality] = Field(default_factory=dict)
     """Errors of single arms, by name."""
+
+    def require_pads(self, *, welded: bool) -> None:
+        """Refuse half of what makes a weld a pad; welded: without [simulation.grasp].  Raises PydanticCustomError."""
+        known = {key: getattr(self, key) for key in ("pads_N_per_m", "pads_Nm_per_rad", "pads_damping_ratio")}
+        given = [key for key, value in known.items() if value is not None]
+        lacking = [key for key in STIFFNESSES if key not in given]
+        if welded and self.seed is None and given and lacking:
+            raise wrong(
+                f"simulation.reality.{given[0]}", found=f"{' and '.join(given)} without {' and '.join(lacking)}",
+                expected="both stiffnesses where the cell's grasps are welded",
+                remedy=f"give {' and '.join(lacking)} as well, or add [simulation.grasp], or leave all of these out",
+            )  # fmt: skip
+
+    def require_delay(self, believed_s: float, tolerance: Tolerance, rate_hz: float) -> None:
+        """Refuse a jitter larger than the delay, or with which torques overtake each other.
+
+        believed_s: delay of the simulated cell where this says nothing.  Raises PydanticCustomError.
+        """
+        key, jitter_s = "simulation.reality.delay_jitter_s", self.delay_jitter_s
+        refuse_overtaking(key, jitter_s, rate_hz)
+        delay_s, which = believed_s, "that the cell is simulated with"
+        if self.delay_s is not None:
+            delay_s, which = self.delay_s, "of simulation.reality.delay_s"
+        elif self.seed is not None:
+            delay_s, which = believed_s * tolerance.delay[0], "the shortest that tolerance.delay lets the seed draw"
+        if jitter_s > delay_s:
+            raise wrong(
+                key, found=f"{jitter_s:g} s", expected=f"at most the delay, {delay_s:g} s, {which}",
+                remedy="lower it, or give a longer simulation.reality.delay_s",
+            )  # fmt: skip
 
     def require_rubbing(self) -> None:
         """Refuse friction of joints that do not rub.  Raises PydanticCustomError."""

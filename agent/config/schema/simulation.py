@@ -124,6 +124,7 @@ class Simulation(Strict):
         """Refuse what befalls arms that are not there; joints: their number by arm.  Raises PydanticCustomError."""
         if self.reality is not None:
             self.reality.require_fit(joints)
+            self.reality.require_pads(welded=self.grasp is None)
             if not self.effects.friction:
                 self.reality.require_rubbing()
         for i, opening in enumerate(self.opening):

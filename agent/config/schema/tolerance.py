@@ -40,6 +40,15 @@ Linear = Annotated[float, Field(ge=10.0, le=1e8)]  # as of [simulation.grasp]
 Angular = Annotated[float, Field(ge=0.01, le=1e6)]
 
 
+def refuse_overtaking(key: str, jitter_s: float, rate_hz: float) -> None:
+    """Refuse a jitter of the delay with which torques would overtake each other.  Raises PydanticCustomError."""
+    if 2.0 * jitter_s * rate_hz >= 1.0:
+        raise wrong(
+            key, found=f"{jitter_s:g} s", expected=f"below half a period, {0.5 / rate_hz:g} s",
+            remedy="lower it: a torque would overtake the one before",
+        )  # fmt: skip
+
+
 class Tolerance(Strict):
     """Errors of a cell that check, tune and study count with."""
 
@@ -80,12 +89,7 @@ class Tolerance(Strict):
 
     def require_fit(self, rate_hz: float) -> None:
         """Refuse a jitter with which torques would overtake each other.  Raises PydanticCustomError."""
-        if 2.0 * self.delay_jitter_s * rate_hz >= 1.0:
-            raise wrong(
-                "tolerance.delay_jitter_s", found=f"{self.delay_jitter_s:g} s",
-                expected=f"below half a period, {0.5 / rate_hz:g} s",
-                remedy="lower it: a torque would overtake the one before",
-            )  # fmt: skip
+        refuse_overtaking("tolerance.delay_jitter_s", self.delay_jitter_s, rate_hz)
 
     def zeros_of(self, joints: int) -> float:
         """Error of the zero of each joint of an arm with so many controlled joints, rad."""

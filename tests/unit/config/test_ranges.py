@@ -58,7 +58,6 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("simulation.reality.pads_Nm_per_rad", 0.01, 1e6),
     ("simulation.reality.pads_damping_ratio", 0.0, 10.0),
     ("simulation.reality.delay_s", 0.0, 0.5),
-    ("simulation.reality.delay_jitter_s", 0.0, 0.5),
     ("simulation.reality.arms.left.base_m", -0.1, 0.1),
     ("simulation.reality.arms.left.base_rad", -0.3, 0.3),
     ("simulation.reality.arms.left.grasp_m", -0.1, 0.1),
@@ -124,7 +123,10 @@ VECTORS = {
 
 
 BESIDE = {  # what else the ends of a range need
-    "rate_hz": "simulation.substeps_per_cycle=9",
+    "rate_hz": ("simulation.substeps_per_cycle=9",),
+    "simulation.reality.pads_N_per_m": ("simulation.reality.pads_Nm_per_rad=50.0",),
+    "simulation.reality.pads_Nm_per_rad": ("simulation.reality.pads_N_per_m=1e4",),
+    "simulation.reality.pads_damping_ratio": ("simulation.grasp={stiffness_N_per_m=1e4, stiffness_Nm_per_rad=50.0}",),
 }
 
 
@@ -140,8 +142,8 @@ def read(path: Any, key: str, value: float) -> CellFile:
     document, count = parse(path.read_bytes(), path), count_of(key)
     value = int(value) if key.endswith(".seed") and value == int(value) else value
     written = value if count is None else [value] * count
-    if key in BESIDE:
-        override(document, BESIDE[key])
+    for other in BESIDE.get(key, ()):
+        override(document, other)
     override(document, f"{key}={tomli_w.dumps({'v': written}).partition('=')[2].strip()}")
     return validate(CellFile, document, "cell.toml")
 

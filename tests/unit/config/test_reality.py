@@ -25,6 +25,9 @@ def cell(name: str, *overrides: str) -> Cell:
     return load_cell(configs.CELLS_DIR / f"{name}.toml", list(overrides))
 
 
+REAL = "simulation.reality."
+
+
 @pytest.mark.parametrize("name", ["paper", "three_wx250s"])
 def test_draws_stay_within_the_tolerance_and_reach_towards_it(name: str) -> None:
     c = cell(name)
@@ -218,9 +221,46 @@ def test_joints_that_do_not_rub_are_given_no_friction(key: str) -> None:
         ("simulation.reality.arms.right.breakaway_Nm=[0.01]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.load_friction=[0.01]", "one per controlled joint, 3"),
         ("simulation.reality.delay=1.1", "simulation.reality.delay"),
+        (f"{REAL}pads_N_per_m=1e4", "found pads_N_per_m without pads_Nm_per_rad, expected both stiffnesses"),
+        (f"{REAL}pads_Nm_per_rad=9.0", "; give pads_N_per_m as well, or add [simulation.grasp]"),
+        (f"{REAL}pads_damping_ratio=0.3", "pads_damping_ratio without pads_N_per_m and pads_Nm_per_rad"),
+        (f"{REAL}delay_jitter_s=0.4", "found 0.4 s, expected below half a period, 0.0025 s"),
+        (f"{REAL}delay_jitter_s=0.0025", "below half a period, 0.0025 s"),
     ],
 )
 def test_a_reality_that_cannot_be_is_refused(override: str, message: str) -> None:
     with pytest.raises(Refusal, match=r"simulation\.reality") as caught:
         cell("paper", override)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["loop_delay_s=0.0"], "expected at most the delay, 0 s, that the cell is simulated with; lower it, or give"),
+        (["simulation.effects.delay_s=0.001"], "at most the delay, 0.001 s, that the cell is simulated with"),
+        ([f"{REAL}delay_s=0.0015"], "at most the delay, 0.0015 s, of simulation.reality.delay_s"),
+        ([f"{REAL}seed=3", "tolerance.delay=[0.3, 1.2]"], "at most the delay, 0.0015 s, the shortest that tolerance"),
+    ],
+)
+def test_a_delay_that_jitters_by_more_than_there_is_of_it_is_refused(changes: list[str], message: str) -> None:
+    with pytest.raises(Refusal, match=r"simulation\.reality\.delay_jitter_s.*found 0\.002 s") as caught:
+        cell("paper", f"{REAL}delay_jitter_s=0.002", *changes)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [f"{REAL}pads_N_per_m=1e4", f"{REAL}pads_Nm_per_rad=9.0"],
+        [f"{REAL}pads_N_per_m=1e4", f"{REAL}seed=3"],
+        [f"{REAL}pads_damping_ratio=0.3", "simulation.grasp={stiffness_N_per_m=1e4, stiffness_Nm_per_rad=50.0}"],
+        [f"{REAL}delay_jitter_s=0.002"],
+        [f"{REAL}delay_jitter_s=0.002", f"{REAL}delay_s=0.002", "loop_delay_s=0.0"],
+        [f"{REAL}delay_jitter_s=0.002", f"{REAL}seed=3"],
+        [f"{REAL}delay_s=0.0", f"{REAL}seed=3", "tolerance.delay_jitter_s=0.002"],
+    ],
+)
+def test_pads_and_jitter_that_are_let_pass_make_a_plant(changes: list[str]) -> None:
+    made = cell("paper", *changes)
+    plant_spec(made, start_joints(made))
