@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 
-from agent.config.cell import Cell
+from agent.config.cell import Arm, Cell
 from agent.config.schema.driver import DriverKind
-from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.finding import Finding, Verdict, judged, refused, warning
 
 UPRIGHT_RAD = math.radians(5.0)
 GUARD_WIDE_M, GUARD_WIDE_RAD = 0.2, 1.0
@@ -127,15 +128,33 @@ def _guards(cell: Cell) -> list[Finding]:
 
 
 def _ports(cell: Cell) -> list[Finding]:
-    arms = defaultdict(list)
+    """Ports of several arms: refused where servos move two of one stated host, fine on hosts that all differ."""
+    arms = defaultdict[str, list[Arm]](list)
     for arm in cell.arms:
         if arm.entry.dynamixel is not None:
-            arms[arm.entry.dynamixel.port].append(arm.name)
-    return [
-        judged(
-            "port", " and ".join(names), port, "one for each arm", holds=False, otherwise=Verdict.WARNING,
-            remedy="right only where the arms are on different hosts; else name the port of each",
-        )
-        for port, names in arms.items()
-        if len(names) > 1
-    ]  # fmt: skip
+            arms[arm.entry.dynamixel.port].append(arm)
+    return [_shared_port(cell, port, sharing) for port, sharing in arms.items() if _may_meet(sharing)]
+
+
+def _may_meet(arms: Sequence[Arm]) -> bool:
+    """Whether two of these may be on one host; an arm that states none may be on any."""
+    hosts = [arm.entry.host for arm in arms]
+    return len(hosts) > 1 and (None in hosts or len(set(hosts)) < len(hosts))
+
+
+def _shared_port(cell: Cell, port: str, sharing: Sequence[Arm]) -> Finding:
+    hil = cell.file.hil
+    real = [
+        arm for arm in sharing if cell.file.driver is DriverKind.DYNAMIXEL or (hil is not None and arm.name in hil.arms)
+    ]
+    for host, count in Counter(arm.entry.host for arm in real).items():
+        if host is not None and count > 1:
+            names = " and ".join(arm.name for arm in real if arm.entry.host == host)
+            return refused(
+                "port", names, f"{port} on host {host}", "one for each arm of a host",
+                "name the port of each; or correct `host`, if they are on different ones",
+            )  # fmt: skip
+    return warning(
+        "port", " and ".join(arm.name for arm in sharing), port, "one for each arm",
+        "right only where the arms are on different hosts (`host` says so); else name the port of each",
+    )  # fmt: skip

@@ -123,6 +123,42 @@ def test_two_arms_on_one_port_are_warned_of_because_hosts_may_differ() -> None:
     assert warnings(cell) == [("port", "left and right", "/dev/coop/left")]
 
 
+ONE_PORT = 'arms.right.dynamixel.port="/dev/coop/left"'
+REAL = "driver=dynamixel"
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "more", "verdict"),
+    [
+        ("h1", "h1", [REAL], Verdict.REFUSED),
+        ("h1", "h1", ['hil.arms=["left", "right"]'], Verdict.REFUSED),
+        ("h1", "h1", ['hil.arms=["left"]'], Verdict.WARNING),
+        ("h1", "h1", [], Verdict.WARNING),
+        ("h1", None, [REAL], Verdict.WARNING),
+        (None, None, [REAL], Verdict.WARNING),
+        ("h1", "h2", [REAL], None),
+        ("h1", "h2", [], None),
+    ],
+)
+def test_two_arms_on_one_port_of_one_stated_host_are_refused_where_servos_move_them(
+    left: str | None, right: str | None, more: list[str], verdict: Verdict | None
+) -> None:
+    hosts = [f"arms.{arm}.host={host}" for arm, host in (("left", left), ("right", right)) if host is not None]
+    found = [f for f in findings(ONE_PORT, *hosts, *more) if f.what == "port"]
+    assert [f.verdict for f in found] == ([] if verdict is None else [verdict])
+    assert {(f.where, f.found) for f in found} <= {
+        ("left and right", "/dev/coop/left" + (" on host h1" if verdict is Verdict.REFUSED else ""))
+    }
+
+
+def test_of_three_arms_on_one_port_those_of_one_host_are_named() -> None:
+    ports = [f'arms.{arm}.dynamixel.port="/dev/coop/all"' for arm in ("left", "back", "front")]
+    hosts = [f"arms.{arm}.host={host}" for arm, host in (("left", "h1"), ("back", "h2"), ("front", "h1"))]
+    found = plausibility(load_cell(configs.CELLS_DIR / "three_wx250s.toml", [*ports, *hosts, REAL]))
+    (port,) = [f for f in found if f.what == "port"]
+    assert (port.verdict, port.where) == (Verdict.REFUSED, "left and front")
+
+
 @pytest.mark.parametrize("port", ["", " ", "/dev/tty 1", "a\\u0000b", "\\u202e"])
 def test_a_port_that_is_no_name_of_one_is_refused(port: str) -> None:
     with pytest.raises(ConfigError, match=r"arms\.right\.dynamixel\.port in"):
