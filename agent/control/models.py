@@ -231,8 +231,8 @@ def _reduced_model(
         raise ModelError(
             "joint names",
             found=", ".join(unknown),
-            expected=f"names among {', '.join(names)}",
-            remedy="correct the cell",
+            expected=f"names among {', '.join(names)}" if names else "joints that move: the URDF has none of them",
+            remedy="correct the cell" if names else "give the URDF its joints, or name that of this arm",
         )
     rest = [j for j in names if j not in controlled]
     missing = [j for j in rest if j not in locked_rad]

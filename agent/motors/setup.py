@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from agent.config.schema.arm import ArmFile
-from agent.config.servo_map import resting_joints
+from agent.config.servo_map import GRIPPER, resting_joints
 from agent.motors import eeprom
 from agent.motors.find import ALL_BAUDS, Tell, search
 from drivers.dynamixel.arm_map import ServoSlot
@@ -31,6 +31,12 @@ class SetupError(DriverError):
 def servo_of(file: ArmFile, joint: str, *, shadow: bool) -> ServoSlot:
     """The servo of a joint, or its shadow.  Raises JointError naming what there is."""
     joints = {j.name: j for j in resting_joints(file)}
+    servos = {j.name: j.servo for j in file.joints} | {GRIPPER: file.gripper.servo}
+    if joint in servos and joint not in joints:
+        raise JointError(
+            f"joint {joint} of {file.model}", found=f"servo {servos[joint]} of Protocol 1.0, which cannot be driven",
+            expected=" or ".join(joints), remedy="name one of these; there is no Protocol 2.0 firmware for it",
+        )  # fmt: skip
     if joint not in joints:
         raise JointError(
             f"joint of {file.model}", found=repr(joint), expected=" or ".join(joints), remedy="name one of its joints"

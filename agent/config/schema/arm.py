@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import AfterValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from agent.config.schema.types import AS_LIST, Angle, FileStem, Format, Label, Strict, nearest, wrong
 from drivers.dynamixel.servo.codes import BAUD_RATES, MAX_ID
 from drivers.dynamixel.servo.counts import TICK_RAD, TICKS_PER_TURN
 from drivers.dynamixel.servo.models import SERVOS
 
-PROTOCOLS = (1.0, 2.0)
+PROTOCOL = 2.0  # that the driver speaks
 LAST_TICK = 4095
 
 
@@ -35,8 +36,8 @@ def _known_servo(name: str) -> str:
 
 
 def _known_protocol(protocol: float) -> float:
-    if protocol not in PROTOCOLS:
-        raise wrong("", found=protocol, expected="1.0 or 2.0", remedy="2.0 is what the driver speaks")
+    if protocol not in (1.0, PROTOCOL):  # of 1.0 the whole file says which servos it concerns
+        raise wrong("", found=protocol, expected="2.0", remedy="it is what the driver speaks")
     return protocol
 
 
@@ -148,7 +149,7 @@ class GripperJoint(Servos):
     @property
     def obeys(self) -> bool:
         """Whether its servo can be told to close on the bus of the arm."""
-        return SERVOS[self.servo].protocol == PROTOCOLS[-1]
+        return SERVOS[self.servo].protocol == PROTOCOL
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -202,6 +203,8 @@ class ArmFile(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> ArmFile:
+        if self.protocol != PROTOCOL:
+            raise self._undriven()
         names = [joint.name for joint in self.joints]
         _refuse_repeated("joints", "name", names)
         _refuse_repeated("joints", "ID", [i for joint in (*self.joints, self.gripper) for i in joint.ids])
@@ -214,6 +217,21 @@ class ArmFile(Strict):
                 remedy=nearest(unknown[0], names) or "name its joints",
             )
         return self
+
+    def _undriven(self) -> PydanticCustomError:
+        """Why nothing drives the arm: its servos are said to speak a protocol that the driver does not."""
+        servos = {joint.name: joint.servo for joint in self.joints} | {"gripper": self.gripper.servo}
+        fit = [f"{name} ({servo})" for name, servo in servos.items() if SERVOS[servo].protocol == PROTOCOL]
+        never = [f"{name} ({servo})" for name, servo in servos.items() if SERVOS[servo].protocol != PROTOCOL]
+        remedies = []
+        if fit:
+            remedies.append(f"give {', '.join(fit)} firmware of Protocol 2.0 (DYNAMIXEL Wizard), then write 2.0 here")
+        if never:
+            remedies.append(f"none exists for {', '.join(never)}: never commanded")
+        return wrong(
+            "protocol", found=f"{self.protocol}, whose servos cannot be driven",
+            expected="2.0, the one that the driver speaks", remedy="; ".join(remedies),
+        )  # fmt: skip
 
 
 def _refuse_repeated(key: str, what: str, values: Sequence[object]) -> None:

@@ -10,10 +10,12 @@ import pytest
 
 import configs
 from agent.config.cell import Cell, ConfigError, cell_from_toml
-from agent.config.files import load_arm_file
-from agent.config.servo_map import fingers_of
+from agent.config.files import load_arm_file, load_own_arm_file
+from agent.config.servo_map import fingers_of, resting_joints
 from agent.control.models import ModelError
 from agent.verify.check import examine
+from drivers.dynamixel.arm_map import ArmMap
+from drivers.interface import Refusal
 
 CELL = (configs.CELLS_DIR / "two_wx200.toml").read_bytes()
 ARM = (configs.ARMS_DIR / "wx200.toml").read_text()
@@ -44,7 +46,7 @@ def test_the_files_that_ship_pass(tmp_path: Path) -> None:
     [
         ('servo = "XM430-W350"', 'servo = "XM430-W35"', "joints.waist.servo in wx200.toml: .*did you mean XM430-W350"),
         ("baud = 1000000", "baud = 0", "baud in wx200.toml: found 0, expected one of 9600,"),
-        ("protocol = 2.0", "protocol = 3.0", "protocol in wx200.toml: found 3.0, expected 1.0 or 2.0"),
+        ("protocol = 2.0", "protocol = 3.0", "protocol in wx200.toml: found 3.0, expected 2.0;"),
         ("ids = [1]", "ids = [2]", "joints in wx200.toml: found ID 2 more than once"),
         ("ids = [1]", "ids = [254]", r"joints.waist.ids.0 in wx200.toml: found 254"),
         ("ids = [1]", "ids = []", "joints.waist.ids in wx200.toml"),
@@ -99,13 +101,28 @@ def test_a_horn_opens_the_fingers_with_ticks_up_or_where_it_points_the_other_way
     assert fingers.closed_m < fingers.width(0.5 * (fingers.closed_rad + fingers.open_rad)) < fingers.open_m
 
 
-@pytest.mark.parametrize("cell", [CELL, re.sub(rb"(?m)^dynamixel = .*$", b"", CELL)], ids=["with ports", "without"])
-def test_an_arm_whose_servos_all_speak_another_protocol_is_refused_before_it_is_wired(
-    tmp_path: Path, cell: bytes
-) -> None:
-    found = loaded(tmp_path, arm_with("protocol = 2.0", "protocol = 1.0"), cell=cell)
-    with pytest.raises(ConfigError, match=r"arm left: joints: .*at least one controlled"):
-        examine(found)
+def test_an_arm_file_of_protocol_1_is_refused_with_its_servos_and_their_firmware(tmp_path: Path) -> None:
+    said = (
+        r"protocol in wx200\.toml: found 1\.0, whose servos cannot be driven, expected 2\.0, .*; "
+        r"give waist \(XM430-W350\), .*, gripper \(XL430-W250\) firmware of Protocol 2\.0 \(DYNAMIXEL Wizard\), "
+        r"then write 2\.0 here$"
+    )
+    with pytest.raises(ConfigError, match=said):
+        loaded(tmp_path, arm_with("protocol = 2.0", "protocol = 1.0"))
+
+
+def test_of_an_arm_file_of_protocol_1_servos_without_other_firmware_are_named_as_such(tmp_path: Path) -> None:
+    mk2 = (configs.ARMS_DIR / "widowx_mk2.toml").read_text().replace("protocol = 2.0", "protocol = 1.0")
+    path = tmp_path / "mine.toml"
+    path.write_text(mk2)
+    with pytest.raises(ConfigError, match=r"; give waist \(.*; none exists for wrist_rotate \(AX-12A\), gripper \(AX"):
+        load_own_arm_file(path)
+
+
+def test_an_arm_none_of_whose_servos_is_controlled_is_refused_before_it_is_wired(tmp_path: Path) -> None:
+    cell = loaded(tmp_path)
+    with pytest.raises(Refusal, match=r"joints: .*at least one controlled"):
+        ArmMap("left", "none", 1_000_000, 200.0, resting_joints(cell.arms[0].file))
 
 
 def first_number(of: str, instead: str) -> str:
@@ -174,7 +191,14 @@ def test_a_thin_or_rounded_link_is_a_body(tmp_path: Path, urdf: str) -> None:
     [
         ("<a/>", r"URDF, arm left \(wx200.urdf\): .*expected a robot description"),
         (URDF.replace('type="revolute"', 'type="continuous"', 1), "joints of the URDF, arm left .*found waist"),
-        (URDF.replace('name="waist"', 'name="waste"'), "joint names, arm left .*found waist"),
+        (
+            URDF.replace('name="waist"', 'name="waste"'),
+            "joint names, arm left .*found waist.*names among waste, shoulder",
+        ),
+        (
+            '<robot name="r"><link name="ee"/></robot>',
+            "joint names, .*joints that move: the URDF has none of them; give",
+        ),
         (URDF.replace('<link name="ee"', '<link name="tip"').replace('link="ee"', 'link="tip"'), "end-effector frame"),
     ],
 )

@@ -238,8 +238,14 @@ def test_a_joint_or_shadow_that_is_not_there_is_refused_naming_those_that_are() 
     with pytest.raises(JointError, match="found a single servo, expected one with a shadow: shoulder"):
         servo_of(WX200_FILE, "elbow", shadow=True)
     mk2, _ = load_arm_file("widowx_mk2", "test")
-    with pytest.raises(JointError, match="expected waist or shoulder or elbow or wrist_angle;"):
+    with pytest.raises(
+        JointError, match=r"found servo AX-12A of Protocol 1\.0, .* waist or shoulder or elbow or wrist_angle;"
+    ):
         servo_of(mk2, "gripper", shadow=False)
+    with pytest.raises(JointError, match=r"joint wrist_rotate of .*AX-12A of Protocol 1\.0"):
+        servo_of(mk2, "wrist_rotate", shadow=False)
+    with pytest.raises(JointError, match="found 'griper', expected waist"):
+        servo_of(mk2, "griper", shadow=False)
 
 
 # --- order of writes -------------------------------------------------------------------------------------------------
