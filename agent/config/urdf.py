@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from agent.config.reading import ConfigError, shown
+from agent.config.urdf_tree import refuse_no_tree
 
 LARGEST: Final = 100.0  # kg, kg·m², m and rad, as in a cell file
 ROUNDED: Final = 0.01  # by which moments of few digits may be off those of a body
@@ -30,7 +31,7 @@ def urdf_beside(arm_file: str, urdf: str) -> str:
 
 @lru_cache(maxsize=8)  # arms of one kind
 def text_of_urdf(raw: bytes, name: str) -> str:
-    """The text of a URDF whose numbers can all be read, and whose links are bodies.
+    """The text of a URDF whose numbers can all be read, whose links are bodies, and whose joints make them a tree.
 
     Raises ConfigError naming file and element.
     """
@@ -56,6 +57,7 @@ def text_of_urdf(raw: bytes, name: str) -> str:
             )
     for link in robot.iter("link"):
         _refuse_impossible(link, name)
+    refuse_no_tree(robot, name)
     return text
 
 

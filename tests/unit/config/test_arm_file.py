@@ -210,6 +210,58 @@ def test_a_urdf_of_another_arm_is_refused_with_arm_and_file(tmp_path: Path, urdf
         examine(cell)
 
 
+def linked(*joints: tuple[str, str, str], links: str = "abc") -> str:
+    """A URDF of these links, and fixed joints: name, parent, child."""
+    edges = (
+        f'<joint name="{joint}" type="fixed"><parent link="{parent}"/><child link="{child}"/></joint>'
+        for joint, parent, child in joints
+    )
+    return f'<robot name="r">{"".join(f"<link name={link!r}/>" for link in links)}{"".join(edges)}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("urdf", "message"),
+    [
+        (
+            URDF.replace('child link="forearm_link"', 'child link="forearm"'),
+            r"child of joint elbow in wx.*: found 'forearm', a link .*, expected one of .*did you mean forearm_link",
+        ),
+        (
+            URDF.replace('parent link="base_link"', 'parent link="floor"'),
+            "parent of joint waist in wx200.urdf: found 'floor', .*; correct it, or add that <link>",
+        ),
+        (URDF.replace("<parent ", "<parents ", 1), "parent of joint waist in wx200.urdf: found nothing"),
+        (URDF.replace("child link=", "child lnk=", 1), "child of joint waist in wx200.urdf: found nothing"),
+        (URDF.replace("</robot>", '<link name="ee"/></robot>'), "link 'ee' in .*: found 2 of that name"),
+        (URDF.replace('name="elbow"', 'name="waist"'), "joint 'waist' in .*: found 2 of that name"),
+        (URDF.replace('<link name="ee"', "<link "), "a link in wx200.urdf: found no name"),
+        (URDF.replace(' type="revolute"', "", 1), "type of joint waist in wx200.urdf: found nothing"),
+        (URDF.replace('"revolute"', '"revolut"', 1), "type of joint waist in .*'revolut', .*; did you mean revolute"),
+        (linked(("j", "a", "b"), ("k", "a", "c"), ("l", "b", "c")), "link c in .*: found the child of joints k, l,"),
+        (linked(("j", "a", "b")), "links in .*: found a and c, none of them the child of a joint, expected one base"),
+        (
+            linked(("j", "b", "c"), ("k", "c", "b")),
+            "joints in .*: found links that hang on each other .*: b, c, expected",
+        ),
+        (linked(("j", "a", "a"), links="a"), "joints in .*: found links that hang on each other in a ring: a,"),
+        (linked(links=""), "links in .*: found none, expected one base"),
+    ],
+)
+def test_a_urdf_whose_links_are_no_tree_is_refused_with_link_or_joint_before_its_parser_speaks(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], urdf: str, message: str
+) -> None:
+    assert urdf != URDF
+    with pytest.raises(ConfigError, match=message):
+        loaded(tmp_path, urdf=urdf)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_joints_of_transmissions_are_no_joints_of_the_tree(tmp_path: Path) -> None:
+    more = '<transmission name="t"><joint name="waist"/></transmission></robot>'
+    cell = loaded(tmp_path, urdf=URDF.replace("</robot>", more))
+    assert cell.model(cell.arms[0]).n == cell.arms[0].n
+
+
 def test_an_arm_that_some_motion_costs_no_torque_is_refused(tmp_path: Path) -> None:
     weightless = re.sub(r'<mass value="[^"]*"', '<mass value="0"', re.sub(r'(i[xyz][xyz])="[^"]*"', r'\1="0"', URDF))
     no_rotors = re.sub(r"rotor_inertia_kg_m2 = \{ value = [0-9.]+", "rotor_inertia_kg_m2 = { value = 0.0", ARM)
