@@ -87,7 +87,7 @@ class Opening(Strict):
 
 
 class Simulation(Strict):
-    """The simulated cell; what an agent does, and whether a cell may start, does not depend on it."""
+    """The simulated cell; what an agent does, and whether real arms may start, does not depend on what it says."""
 
     ready_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0
     """Lockstep: the arms wait so long before the common start."""
