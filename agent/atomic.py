@@ -1,4 +1,7 @@
-"""Writes a whole file or none, so that no reader and no power cut meets half of one; keeps what is there if asked."""
+"""Writes a whole file or none, so that no reader and no power cut meets half of one; keeps what is there if asked.
+
+At the end of a link the file there is replaced, and the link stays.  What is no file, as a device, is refused.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,18 @@ import stat
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 import configs
 from drivers.interface import Refusal
+
+_KINDS: Final = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
 
 
 class WriteError(Refusal):
@@ -41,10 +52,14 @@ def refuse_other(path: Path, content: bytes) -> None:
 
 
 def require_place(*paths: Path, force: bool, refusal: type[Refusal] = WriteError) -> None:
-    """Raise `refusal` before the work for files that would replace others unasked (force) or have no folder."""
+    """Raise `refusal` before the work for files that would replace others unasked (force) or have no folder.
+
+    And, asked or not, for a place where lies what is no file.
+    """
     if not force:
         keep_existing(*paths)
     for path in paths:
+        place_of(path, refusal)
         if not os.path.isdir(path.parent):  # noqa: PTH112 - no error where the folder above may not be read
             raise refusal(
                 f"file {path}", found=f"no folder {path.parent}", expected="a folder to write it into",
@@ -52,10 +67,30 @@ def require_place(*paths: Path, force: bool, refusal: type[Refusal] = WriteError
             )  # fmt: skip
 
 
+def place_of(path: Path, refusal: type[Refusal] = WriteError) -> Path:
+    """Where a file that is written at `path` goes: there, or where a link leads.
+
+    Raises `refusal` where something lies there that is no file.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError, PermissionError):  # none is there, or writing it tells why not
+        return Path(os.path.realpath(path))
+    except OSError as error:  # as a link to itself
+        raise _refused(refusal, path, error) from error
+    if not stat.S_ISREG(mode):
+        raise refusal(
+            f"file {path}", found=_KINDS.get(stat.S_IFMT(mode), "no file"), expected="a file, or nothing",
+            remedy="name another path",
+        )  # fmt: skip
+    return Path(os.path.realpath(path))
+
+
 def require_writable(path: Path) -> None:
     """Raise WriteError, before the work, where no file can be made at `path`: one is made beside it and removed."""
+    place = place_of(path)
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name}.")
     except OSError as error:
         raise _refused(WriteError, path, error) from error
     os.close(handle)
@@ -73,10 +108,11 @@ def make_folder(path: Path) -> None:
 
 
 def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteError, mode: int | None = None) -> None:
-    """Replace `path` by a file with this content, on disk before it has the name.
+    """Replace `path` by a file with this content, on disk before it has the name; of a link, what it leads to.
 
     mode: of the file; None: that of the one which is replaced, else what the umask leaves of 0o666.
-    Raises `refusal`, for a place in an installed package too: what is there belongs to its next version.
+    Raises `refusal`, for what is no file, and for a place in an installed package: what is there belongs to its next
+    version.
     """
     _put(path, io.BytesIO(content), refusal, mode)
 
@@ -88,10 +124,11 @@ def write_together(contents: Mapping[Path, bytes]) -> None:
     """
     with contextlib.ExitStack() as undone:
         for path, content in contents.items():
-            new = not os.path.lexists(path)
+            place = place_of(path)
+            new = not os.path.lexists(place)
             write_atomically(path, content)
             if new:
-                undone.callback(_remove, path)
+                undone.callback(_remove, place)
         undone.pop_all()
 
 
@@ -107,13 +144,14 @@ def copy_atomically(source: Path, path: Path, refusal: type[Refusal] = WriteErro
 
 
 def _put(path: Path, content: BinaryIO, refusal: type[Refusal], mode: int | None) -> None:
-    if _installed(path):
+    place = place_of(path, refusal)
+    if _installed(place):
         raise refusal(
             f"file {path}", found="a place in the installed package", expected="a folder of yours",
             remedy="name another path; a cell names an arm file of its own with arm_file",
         )  # fmt: skip
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name}.")
     except OSError as error:
         raise _refused(refusal, path, error) from error
     try:
@@ -121,8 +159,8 @@ def _put(path: Path, content: BinaryIO, refusal: type[Refusal], mode: int | None
             shutil.copyfileobj(content, file)
             file.flush()
             os.fsync(file.fileno())
-        Path(name).chmod(_mode(path) if mode is None else mode)
-        Path(name).replace(path)
+        Path(name).chmod(_mode(place) if mode is None else mode)
+        Path(name).replace(place)
     except BaseException as error:  # a stop while the disk is waited for, too
         _remove(Path(name))
         if isinstance(error, OSError):

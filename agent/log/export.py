@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.atomic import WriteError, make_folder
+from agent.atomic import WriteError, make_folder, place_of
 from agent.log.columns import BLOCK_ROWS, Column, Table
 from agent.log.flat import FlatColumn, flat_columns, flatten
 from agent.log.read import ColumnLog, LogError
@@ -186,6 +186,8 @@ class _Draft:
             with file.open("rb") as written:
                 os.fsync(written.fileno())
         make_folder(self._folder)
+        for file in files:
+            place_of(self._folder / file.name)
         for name in set(before) - {file.name for file in files}:
             (self._folder / name).unlink(missing_ok=True)
         for file in files:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 from rich import box
 from rich.table import Table
 
+from agent.atomic import place_of
 from agent.report.metrics import summarise_prepared
 from agent.report.prepared import prepare
 from agent.report.results import Judgement, Results
@@ -49,7 +48,7 @@ def put_results(results: Results, folder: Path) -> None:
 def folder_of(out_dir: Path) -> Iterator[Path]:
     """A folder whose files move to `out_dir`, one after the other, once all of them are whole.  Raises ReportError.
 
-    None moves where a folder has the name of one; a disk that fails between two moves leaves some of each report.
+    None moves where what is no file has the name of one; a disk that fails between two leaves some of each report.
     """
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
@@ -57,8 +56,7 @@ def folder_of(out_dir: Path) -> Iterator[Path]:
             yield Path(name)
             files = {file: out_dir / file.name for file in sorted(Path(name).iterdir())}
             for place in files.values():
-                if place.is_dir():
-                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(place))
+                place_of(place, ReportError)
             for file, place in files.items():
                 file.replace(place)
     except OSError as error:

@@ -10,6 +10,7 @@ from typing import Final
 
 from PIL import Image
 
+from agent.atomic import place_of
 from agent.report.prepared import Prepared
 from agent.view.camera import Camera
 from agent.view.draw import picture
@@ -72,13 +73,14 @@ def write_film(run: Prepared, options: FilmOptions) -> int:
     frames = [drawn(staged, row, camera, FILM_PX, more) for row in range(len(staged.motion.t))]
     if kind == "GIF":
         frames = [f.quantize(_COLOURS, dither=Image.Dither.NONE) for f in frames]
-    part = options.path.with_name(f".{options.path.name}.part")
+    place = place_of(options.path, ViewError)
+    part = place.with_name(f".{place.name}.part")
     try:
         settings = {"quality": 80, "method": 4, "minimize_size": True} if kind == "WEBP" else {"optimize": True}
         frames[0].save(
             part, kind, save_all=True, append_images=frames[1:], duration=round(1e3 / FILM_HZ), loop=0, **settings
         )  # fmt: skip
-        part.replace(options.path)
+        part.replace(place)
     except OSError as error:
         part.unlink(missing_ok=True)
         raise ViewError(

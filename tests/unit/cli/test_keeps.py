@@ -88,6 +88,24 @@ def test_a_folder_that_is_not_there_is_told_before_the_work(
     assert (done.code, done.err.replace(str(tmp_path) + "/", "")) == (2, f"coop: {expected}\n")
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("tune", "nothing.toml", "--write", "pipe"),
+        ("view", "nothing.mcap", "--html", "pipe"),
+        ("view", "nothing.mcap", "--film", "pipe"),
+        ("compare", "nothing.mcap", "b.mcap", "--html", "pipe"),
+    ],
+    ids=lambda words: words[-2],
+)
+def test_force_replaces_no_pipe_and_no_device(tmp_path: Path, words: tuple[str, ...]) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    done = coop(*words, "--force", cwd=tmp_path)
+    expected = "file pipe: found a pipe, expected a file, or nothing; name another path"
+    assert (done.code, done.err) == (2, f"coop: {expected}\n")
+    assert (tmp_path / "pipe").is_fifo()
+
+
 def test_a_rehearsal_without_a_folder_for_its_log_does_not_begin(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

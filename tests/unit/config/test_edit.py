@@ -104,7 +104,7 @@ def test_a_file_is_replaced_as_a_whole_and_nothing_is_left_behind(tmp_path: Path
 def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
     path = tmp_path / "folder"
     (path / "inside").mkdir(parents=True)
-    with pytest.raises(WriteError, match="Is a directory"):
+    with pytest.raises(WriteError, match="found a folder, expected a file"):
         write_atomically(path, b"new")
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
     with pytest.raises(WriteError, match="No such file"):

@@ -158,7 +158,7 @@ def test_a_folder_in_the_place_of_a_file_leaves_the_report_before_as_it_was(tmp_
 
     (tmp_path / "results.json").mkdir()
     (tmp_path / "report.html").write_text("before")
-    with pytest.raises(ReportError, match=f"found Is a directory at {tmp_path}/results.json"):
+    with pytest.raises(ReportError, match=f"file {tmp_path}/results.json: found a folder, expected a file"):
         write()
     assert (tmp_path / "report.html").read_text() == "before"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "results.json"]
