@@ -23,6 +23,7 @@ from agent.process.commands import (
 )
 from agent.process.common_start import say
 from agent.process.describe import run_info
+from agent.process.folder import words_folder
 from agent.process.person import Person
 from agent.process.progress import Progress, show
 from agent.process.rehearse import in_the_loop
@@ -67,8 +68,7 @@ class Children:
         self._listen = listen
         self._whole = whole
         self.person: Person | None = None  # who stands beside the arms of a whole session
-        self._words = log.parent / "logs"
-        self._words.mkdir(exist_ok=True)
+        self._words = words_folder(log.parent)
         self._cell_path = runtime / "cell.toml"
         self._cell_path.write_bytes(cell.toml)
         self._run_info_path = runtime / "run.json"

@@ -22,7 +22,7 @@ from agent.process.commands import ChildCommand
 from agent.process.float_loop import SINK_MAX_S, STAND_S
 from agent.process.floating_cell import FloatOptions, moving, names_of
 from agent.process.floating_commands import FloatCommands
-from agent.process.folder import LOG_NAME, output_folder
+from agent.process.folder import LOG_NAME, output_folder, words_folder, words_of
 from agent.process.glance import Glance, Screen, Window
 from agent.process.run_folder import run_folder
 from agent.process.unbegun import StoppedEarly
@@ -41,8 +41,9 @@ def float_arms(cell: Cell, options: FloatOptions, stop: Callable[[], bool], scre
 
     Raises Refusal; every torque is off and the log is closed by then.
     """
+    words = words_of(arm.name for arm in cell.arms)
     with (
-        output_folder(options.out, f"{cell.file.name}-float", has_force=False) as out,
+        output_folder(options.out, f"{cell.file.name}-float", own=words, has_force=False) as out,
         run_folder() as runtime,
     ):
         arms = FloatingArms(cell, options, out, runtime, stop)
@@ -61,8 +62,7 @@ class FloatingArms:
     def __init__(self, cell: Cell, options: FloatOptions, out: Path, runtime: Path, stop: Callable[[], bool]) -> None:
         self._cell, self._emulate, self._stop = cell, options.emulate, stop
         self._commands = FloatCommands(cell, options, out, runtime)
-        self._words = out / "logs"
-        self._words.mkdir(exist_ok=True)
+        self._words = words_folder(out)
         self._recorder: Child | None = None
         self._endpoint = ""  # of the recorder, once it is ready
         self._servos: Child | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from itertools import count
@@ -12,10 +12,12 @@ from pathlib import Path
 
 from agent.host.flock import holder, lock
 from agent.log.file import remove_log
+from agent.telemetry.row.topics import PLANT
 from drivers.interface import Refusal
 
 LOG_NAME, RESULTS, PAGE = "run.mcap", "results.json", "report.html"
 OURS = (LOG_NAME, RESULTS, PAGE)
+WORDS, MARK = "logs", ".run"  # what processes say; that a run has made this folder
 
 
 class RunError(Refusal):
@@ -23,10 +25,14 @@ class RunError(Refusal):
 
 
 @contextmanager
-def output_folder(wanted: Path | None, cell: str, *, replace: bool = False, has_force: bool = True) -> Iterator[Path]:
+def output_folder(
+    wanted: Path | None, cell: str, *, own: Iterable[str] = (), replace: bool = False, has_force: bool = True
+) -> Iterator[Path]:
     """The folder `wanted`, by default runs/<UTC>-<cell>, for the time of the block.
 
     It is there, can be written, holds no results, and no other run is given it before the block ends.
+    own: names of further files that the run may write; one that lies there is refused, but for the words of an earlier
+    run, which failed if it has left no log.
     replace: an earlier run may be in it, whose log, results, page and pictures are removed; what else is there stays.
     has_force: the command has `--force`, which asks for that.
     Raises RunError, and LogInTheWay where a recorder writes that log.
@@ -39,7 +45,7 @@ def output_folder(wanted: Path | None, cell: str, *, replace: bool = False, has_
                 out = _named_by_time(out, cell)
             held.enter_context(_claimed(out))
             if not replace:
-                _refuse_contents(out, "name another with --out" + ", or give --force" * has_force)
+                _refuse_contents(out, own, "name another with --out" + ", or give --force" * has_force)
             with tempfile.TemporaryFile(dir=out):
                 pass
         except OSError as error:
@@ -103,11 +109,39 @@ def _claimed(out: Path) -> Iterator[None]:
         os.close(folder)
 
 
-def _refuse_contents(out: Path, remedy: str) -> None:
+def words_of(arms: Iterable[str]) -> list[str]:
+    """Names of the files in which processes of a run with these arms may say something."""
+    alone = ("recorder", "plant", "servos", f"telemetry-{PLANT}")
+    each = (f"{process}-{arm}" for arm in arms for process in ("arm", "guard", "telemetry"))
+    return [f"{WORDS}/{name}.log" for name in (*alone, *each)]
+
+
+def words_folder(out: Path) -> Path:
+    """The folder in which the processes of this run say something, marked as one of a run.  Raises RunError."""
+    words = out / WORDS
+    try:
+        words.mkdir(exist_ok=True)
+        (words / MARK).touch()
+    except OSError as error:
+        raise RunError(
+            f"folder {words}", found=error.strerror, expected="a folder that can be written",
+            remedy="name another folder with --out",
+        ) from error  # fmt: skip
+    return words
+
+
+def _refuse_contents(out: Path, own: Iterable[str], remedy: str) -> None:
     """Raise RunError where something is in the folder that a run would write over."""
     for name in OURS:
         if os.path.lexists(out / name):
             raise RunError(
                 f"output folder {out}", found=f"{name} from an earlier run", expected="a folder without results",
                 remedy=remedy,
+            )  # fmt: skip
+    is_ours = (out / WORDS / MARK).exists()
+    for name in own:
+        if os.path.lexists(out / name) and not (is_ours and name.startswith(f"{WORDS}/")):
+            raise RunError(
+                f"output folder {out}", found=f"{name}, perhaps of no earlier run",
+                expected="a folder without what a run writes", remedy=remedy,
             )  # fmt: skip

@@ -9,12 +9,13 @@ from agent.config.cell import Cell, load_cell
 from agent.host.signals import StopFlag
 from agent.log.read import open_log
 from agent.process.children import Children
-from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.process.folder import LOG_NAME, RunError, output_folder, words_of
 from agent.process.progress import Progress
 from agent.process.real_arms import RealArms, RealChildren
 from agent.process.rehearse import in_the_loop, require_wall_clock
 from agent.process.run_folder import rings_bytes, run_folder
 from agent.process.run_kind import RunKind
+from agent.report.names import picture_files
 from agent.report.results import Results
 from agent.report.results_file import write_results
 from agent.telemetry.link.session import FREE_PORT, require_endpoint
@@ -68,7 +69,9 @@ def run_cell(options: RunOptions, stop: StopFlag, progress: Progress) -> RunOutc
     """
     with stop.interrupting():
         cell = _examined(options, progress)
-    with output_folder(options.out, cell.file.name, replace=options.replace) as out:
+    arms = [arm.name for arm in cell.arms]
+    own = [*words_of(arms), *(picture_files(arms) if options.report else ())]
+    with output_folder(options.out, cell.file.name, own=own, replace=options.replace) as out:
         log = out / LOG_NAME
         interrupted, gave_up = _carry_out(options, cell, log, stop, progress)
         progress.phase("report")

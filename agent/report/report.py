@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 from matplotlib.figure import Figure
 
 from agent.atomic import keep_existing
+from agent.report import names
 from agent.report.gallery import pictures
 from agent.report.loss import told
 from agent.report.metrics import summarise_prepared
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 PAGE: Final = "report.html"
 START: Final = Picture(
-    "start",
+    names.START,
     "The cell at the start",
     "Arms and object as the log's URDFs and cell file draw them. Black edges: the desired pose. Arrows in an arm's "
     "colour: its commanded force; purple: internal force.",

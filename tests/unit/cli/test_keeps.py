@@ -22,7 +22,8 @@ from agent.identify.result import Identified, identified
 from agent.identify.run import write
 from agent.log.file import LogInTheWay
 from agent.process import folder
-from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.process.folder import LOG_NAME, RunError, output_folder, words_folder, words_of
+from agent.report.names import picture_files
 from agent.report.page import figure_html
 from agent.report.picture import Picture
 from tests.support.command import coop
@@ -308,6 +309,58 @@ def test_a_run_keeps_the_results_in_its_folder(tmp_path: Path) -> None:
     assert done.code == 2
     assert "found results.json from an earlier run, expected a folder without results" in done.err
     assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    "name", ["errors.png", "torque_terms_left.png", "start.png", "logs/plant.log", "logs/arm-left.log"]
+)
+def test_a_run_keeps_a_picture_or_a_log_that_no_earlier_run_has_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """`coop report` refuses the same picture."""
+    path = write_mine(tmp_path / "out" / name)
+    monkeypatch.setattr("agent.process.run._carry_out", None)  # nothing starts
+    done = coop("run", PAPER, "--duration", "1", "--out", path.parent if "/" not in name else path.parents[1])
+    expected = "expected a folder without what a run writes; name another with --out, or give --force"
+    assert (done.code, done.err) == (
+        2, f"coop: output folder {tmp_path}/out: found {name}, perhaps of no earlier run, {expected}\n"
+    )  # fmt: skip
+    assert [found for found in tmp_path.rglob("*") if found.is_file()] == [path]
+    assert path.read_bytes() == MINE
+
+
+def test_a_run_minds_neither_a_picture_that_it_does_not_draw_nor_files_it_does_not_write(tmp_path: Path) -> None:
+    for name in ("errors.png", "holiday.png", "logs/notes.txt", "torque_terms_other.png"):
+        write_mine(tmp_path / name)
+    with output_folder(tmp_path, "paper", own=words_of(["left"])) as out:
+        assert out == tmp_path
+    with (
+        pytest.raises(RunError, match=r"found errors\.png"),
+        output_folder(tmp_path, "paper", own=picture_files(["left"])),
+    ):
+        pass
+    with output_folder(tmp_path, "paper", own=picture_files(["left"]), replace=True):
+        assert (tmp_path / "errors.png").read_bytes() == MINE, "the report replaces it, if there is one"
+
+
+def test_what_processes_of_a_run_that_failed_have_said_may_be_written_over(tmp_path: Path) -> None:
+    """It has left no log, and is begun again with the same command."""
+    own = [*words_of(["left"]), *picture_files(["left"])]
+    with output_folder(tmp_path, "paper", own=own) as out:
+        write_mine(words_folder(out) / "recorder.log")
+        write_mine(words_folder(out) / "arm-left.log")
+    with output_folder(tmp_path, "paper", own=own):
+        pass
+    write_mine(tmp_path / "errors.png")
+    with pytest.raises(RunError, match=r"found errors\.png"), output_folder(tmp_path, "paper", own=own):
+        pass
+
+
+def test_a_file_by_the_name_of_the_folder_of_words_is_one_line(tmp_path: Path) -> None:
+    path = write_mine(tmp_path / "logs")
+    with pytest.raises(RunError, match=rf"folder {path}: found File exists, expected a folder that can be written"):
+        words_folder(tmp_path)
+    assert path.read_bytes() == MINE
 
 
 def test_the_folder_of_a_run_is_empty_or_may_be_used_again(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from agent.report import figures
 from agent.report.figures_more import DURATIONS, estimates, loop_timing, tail_of
 from agent.report.figures_together import in_stretches
 from agent.report.gallery import pictures
+from agent.report.names import picture_files
 from agent.report.plotting import DRAWN_MAX, UNDRAWN, drawable, in_columns, panels, unbroken
 from agent.report.plotting import line as draw_line
 from agent.report.prepared import prepare
@@ -47,6 +48,7 @@ OFTEN = ("paper", "six joints")  # drawn by tests/unit/report/test_report.py, to
 class Drawn:
     """Every figure of a run, and the settings of matplotlib before and after they were drawn."""
 
+    arms: list[str]
     figures: dict[str, Figure]
     before: dict[str, Any]
     after: dict[str, Any]
@@ -58,7 +60,12 @@ class Drawn:
 )
 def drawn(request: pytest.FixtureRequest) -> Drawn:
     run, before = prepare(request.param()), dict(mpl.rcParams)
-    return Drawn({picture.stem: picture.draw() for picture in pictures(run)}, before, dict(mpl.rcParams))
+    arms = [arm.name for arm in run.arms]
+    return Drawn(arms, {picture.stem: picture.draw() for picture in pictures(run)}, before, dict(mpl.rcParams))
+
+
+def test_every_figure_is_one_of_those_that_a_run_looks_for_in_its_folder(drawn: Drawn) -> None:
+    assert {f"{stem}.png" for stem in drawn.figures} <= set(picture_files(drawn.arms))
 
 
 def test_every_axis_of_every_figure_names_its_unit(drawn: Drawn) -> None:
