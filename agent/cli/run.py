@@ -83,7 +83,7 @@ def run(
         float | None, typer.Option(help="Seconds, a cycle at least, instead of the cell's duration.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the results (default runs/<UTC>-<cell>).")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random in the simulated cell.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of what is random in --faults; without them it changes nothing.")] = 0,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     wire: Annotated[bool, typer.Option("--wire", help="The real driver on emulated servos, in real time.")] = False,
     hil: Annotated[

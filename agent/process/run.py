@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.config.cell import Cell, load_cell
+from agent.config.reading import validate
+from agent.config.schema.types import Seed, Strict
 from agent.host.signals import StopFlag
 from agent.log.read import open_log
 from agent.process.children import Children
@@ -107,8 +109,15 @@ def _carry_out(options: RunOptions, cell: Cell, log: Path, stop: StopFlag, progr
     return interrupted, "" if children.person is None else children.person.trouble
 
 
+class _Asked(Strict):
+    """What of the command has the range that it has in files."""
+
+    seed: Seed
+
+
 def _cell_of(options: RunOptions) -> Cell:
     """The cell as it is to run.  Raises RunError for what it cannot be asked, EndpointError, ConfigError."""
+    validate(_Asked, {"seed": options.seed}, "the command")
     require_endpoint(options.listen)
     if options.faults is not None and not options.kind.has_servos:
         raise RunError(

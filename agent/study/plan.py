@@ -16,7 +16,7 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.files import cell_path
 from agent.config.reading import parse, read_file, shipped_cells, shown, validate
 from agent.config.schema.cell import CellFile
-from agent.config.schema.types import Format, Strict, nearest
+from agent.config.schema.types import Format, Seed, Strict, nearest
 from agent.study.fault import Fault
 from agent.study.provenance import provenance
 
@@ -24,7 +24,6 @@ RUNS = 200
 MAX_RUNS = 100_000
 
 Runs = Annotated[int, Field(ge=1, le=MAX_RUNS)]
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class Extent(Strict):

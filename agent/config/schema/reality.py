@@ -11,7 +11,7 @@ from typing import Annotated, Final
 from pydantic import Field
 
 from agent.config.schema.tolerance import Tolerance, refuse_overtaking
-from agent.config.schema.types import AS_LIST, Name, Strict, wrong
+from agent.config.schema.types import AS_LIST, Name, Seed, Strict, wrong
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1)]  # m
 Turn = Annotated[float, Field(ge=-0.3, le=0.3)]  # rad
@@ -61,7 +61,7 @@ class ArmReality(Strict):
 class Reality(Strict):
     """Errors of the cell: each as given, the others drawn from `seed` within the cell's [tolerance], or none."""
 
-    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    seed: Seed | None = None
     """Errors that are not given are drawn from it within [tolerance]; none: as believed."""
     object: Times = 1.0
     """Times the object's mass and inertia."""

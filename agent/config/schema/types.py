@@ -74,6 +74,7 @@ Effort = Annotated[float, Field(ge=-1e4, le=1e4)]  # N, N·m
 Smoothing = Annotated[float, Field(ge=1e-4, le=10.0)]  # rad/s, in which a friction changes its sign
 Factor = Annotated[float, Field(ge=0.0, le=1e6)]
 NAME_PATTERN: Final = r"^[a-z][a-z0-9_]{0,31}$"
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 STEM_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 FileStem = Annotated[str, Field(pattern=STEM_PATTERN)]

@@ -33,6 +33,26 @@ def test_a_run_whose_recorder_could_listen_nowhere_is_refused_and_leaves_no_fold
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("seed", [-1, 2**63])
+def test_a_seed_has_the_same_range_in_a_run_a_study_and_a_cell(tmp_path: Path, seed: int) -> None:
+    expected = "greater than or equal to 0" if seed < 0 else f"less than {2**63}"
+    for words, place in (
+        (("run", "paper", "--seed", seed), "seed in the command"),
+        (("study", "paper", "--seed", seed), "seed in the command"),
+        (("check", "paper", "--set", f"simulation.reality.seed={seed}"), "simulation.reality.seed in "),
+    ):
+        done = coop(*words, cwd=tmp_path)
+        assert (done.code, done.out) == (2, "")
+        assert done.err.startswith(f"coop: {place}")
+        assert f": found {seed}, expected {expected}; " in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_help_of_a_run_says_what_its_seed_is_of() -> None:
+    said = " ".join(coop("run", "--help").out.split())
+    assert "Seed of what is random in --faults; without them it changes nothing." in said
+
+
 def test_the_help_of_a_run_promises_no_length_that_is_refused() -> None:
     (said,) = (line for line in coop("run", "--help").out.splitlines() if "--duration" in line)
     assert "a cycle at least" in said
