@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +18,7 @@ from agent.cli.options import (
     console,
     note,
     print_json,
+    require_use,
     uncollected,
 )
 
@@ -78,11 +80,15 @@ def tune(
         FormName,
         typer.Option(help="By all that reality may do; or, of the rigid cell, k and its _rate_ form, or the latter."),
     ] = FormName.REALITY,
-    worst: Annotated[float, typer.Option(min=0.0, max=1.0, help="Largest spectral radius, form reality.")] = 0.985,
+    worst: Annotated[
+        float | None, typer.Option(min=0.0, max=1.0, help="Largest spectral radius, form reality (0.985).")
+    ] = None,
     damping: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Least damping ratio of what swings, other forms.")
-    ] = 0.05,
-    radius: Annotated[float, typer.Option(min=0.0, max=1.0, help="Largest spectral radius, other forms.")] = 0.999,
+        float | None, typer.Option(min=0.0, max=1.0, help="Least damping ratio of what swings, other forms (0.05).")
+    ] = None,
+    radius: Annotated[
+        float | None, typer.Option(min=0.0, max=1.0, help="Largest spectral radius, other forms (0.999).")
+    ] = None,
     write: Annotated[Path | None, typer.Option(help="Write the cell file with these gains; a new file.")] = None,
     force: Force = False,
     overrides: Overrides = [],
@@ -95,11 +101,13 @@ def tune(
     from agent.verify.tune import RIGID, Form, Margin, Tuner
     from agent.verify.tune_table import toml_lines, tune_table
 
+    asked = {key: x for key, x in {"worst": worst, "damping": damping, "radius": radius}.items() if x is not None}
+    _require_use(form, asked)
     if write is not None:
         require_place(write, force=force)
     with Steps() as step:
         step("looking for gains")
-        tuner, margin = Tuner(load_cell(cell, overrides)), Margin(radius, damping, worst)
+        tuner, margin = Tuner(load_cell(cell, overrides)), Margin(**asked)
         forms = RIGID if Form(form.value) in RIGID else (Form.REALITY,)
         proposals, configured = tuner.proposals(margin, forms), tuner.configured()
         chosen = next((p for p in proposals if p.form.value == form.value), None)
@@ -115,6 +123,19 @@ def tune(
         typer.echo(toml_lines(chosen) or "the configured gains are the largest that keep the margin")
     if write is not None:
         note(f"written  {write}")
+
+
+def _require_use(form: FormName, asked: Collection[str]) -> None:
+    """Raise ConfigError for a margin that this form does not look at."""
+    from agent.config.cell import ConfigError
+
+    found = f"--form {form.value}"
+    if form is FormName.REALITY:
+        given = {f"--{key}": key in asked for key in ("damping", "radius")}
+        require_use(given, ConfigError, found=found, expected="--form ratio or rate", remedy="ask for one of these")
+    else:
+        given = {"--worst": "worst" in asked}
+        require_use(given, ConfigError, found=found, expected="--form reality", remedy="ask for that form")
 
 
 def schema(

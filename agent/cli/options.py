@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import termios
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +18,8 @@ from agent.cli import complete
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from drivers.interface import Refusal
 
 
 CellPath = Annotated[
@@ -84,6 +86,19 @@ def require_yes(question: str) -> None:
     """Go on where standard input says yes, as `confirmed` hears it; end the command where it does not."""
     if not confirmed(question):
         raise typer.Abort
+
+
+def require_use(
+    given: Mapping[str, bool], refusal: type[Refusal], *, found: str, expected: str, remedy: str = ""
+) -> None:
+    """Raise `refusal` where an option is given that would change nothing; by option, whether it was given.
+
+    remedy: what makes it count, if that is possible.
+    """
+    named = [option for option, was_given in given.items() if was_given]
+    if named:
+        remedy = f"{remedy}, or leave it out" if remedy else "leave it out"
+        raise refusal(", ".join(named), found=found, expected=expected, remedy=remedy)
 
 
 def note(text: str) -> None:

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import AsJson, CellPath, Force, Overrides, asked_yes, in_front, note, print_json
+from agent.cli.options import AsJson, CellPath, Force, Overrides, asked_yes, in_front, note, print_json, require_use
 from agent.cli.results import show_results
 
 
@@ -49,12 +49,10 @@ def _require_use(of_real_arms: Mapping[str, bool], ways: Mapping[str, bool], *, 
     """
     from agent.process.folder import RunError
 
-    given = [option for option, was_given in of_real_arms.items() if was_given]
-    if given and not real_arms:
-        raise RunError(
-            ", ".join(given), found="a run without --real-arms", expected="real arms",
-            remedy="add --real-arms, or leave it out",
-        )  # fmt: skip
+    if not real_arms:
+        require_use(
+            of_real_arms, RunError, found="a run without --real-arms", expected="real arms", remedy="add --real-arms"
+        )
     given = [option for option, was_given in ways.items() if was_given]
     if len(given) > 1:
         raise RunError(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from agent.cli import complete
-from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, note
+from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, note, require_use
 from agent.cli.progress import Steps
 from agent.host.ready_line import pairs
 from agent.host.starting import ready
@@ -17,7 +17,7 @@ from agent.host.starting import ready
 if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
-PORT = 8080
+PORT, PACE = 8080, 2.5
 
 
 def view(
@@ -30,12 +30,18 @@ def view(
     live: Annotated[bool, typer.Option("--live", help="A run as it goes on, from its telemetry.")] = False,
     html: Annotated[Path | None, typer.Option(help="Write the run as one HTML file instead.")] = None,
     film: Annotated[Path | None, typer.Option(help="Write a film instead: .gif, .webp or .png.")] = None,
-    start: Annotated[float, typer.Option("--from", min=0.0, help="First second of the film.")] = 0.0,
+    start: Annotated[float | None, typer.Option("--from", min=0.0, help="First second of the film (0).")] = None,
     end: Annotated[float | None, typer.Option("--to", help="Last second of the film.")] = None,
-    speed: Annotated[float, typer.Option(min=0.01, help="Pace of the film; 1 is the pace of the run.")] = 2.5,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page, on this host alone.")] = PORT,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
-    connect: Annotated[str, typer.Option(help="Endpoint of the recorder (--live).")] = DEFAULT_ENDPOINT,
+    speed: Annotated[
+        float | None, typer.Option(min=0.01, help=f"Pace of the film; 1 is the pace of the run ({PACE:g}).")
+    ] = None,
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help=f"Port of the page, on this host alone ({PORT}).")
+    ] = None,
+    browser: Annotated[
+        bool | None, typer.Option("--browser/--no-browser", help="Open the page in a browser, as is done unasked.")
+    ] = None,
+    connect: Annotated[str | None, typer.Option(help=f"Endpoint of the recorder (--live; {DEFAULT_ENDPOINT}).")] = None,
     network_config: NetworkConfig = None,
     overrides: Overrides = [],
     force: Force = False,
@@ -47,15 +53,42 @@ def view(
 
     if sum((live, html is not None, film is not None)) > 1:
         raise ViewError("coop view", found="several of --live, --html, --film", expected="one", remedy="call it twice")
+    _require_use(
+        live=live, html=html is not None, film=film is not None,
+        of_live={
+            "--connect": connect is not None, "--network-config": network_config is not None, "--set": bool(overrides),
+        },
+        of_film={"--from": start is not None, "--to": end is not None, "--speed": speed is not None},
+        of_page={"--port": port is not None, "--browser": browser is True},
+    )  # fmt: skip
     require_place(*filter(None, (html, film)), force=force)
     if film is not None:
-        _film(what, film, start, end, speed)
+        _film(what, film, start or 0.0, end, PACE if speed is None else speed)
     elif html is not None:
         need_viser()
         _html(what, html)
     else:
         need_viser()
-        _serve(what, live, port, browser, connect, network_config, overrides)
+        opens = browser is not False
+        _serve(what, live, port or PORT, opens, connect or DEFAULT_ENDPOINT, network_config, overrides)
+
+
+def _require_use(
+    *, live: bool, html: bool, film: bool, of_live: Mapping[str, bool], of_film: Mapping[str, bool],
+    of_page: Mapping[str, bool],
+) -> None:  # fmt: skip
+    """Raise ViewError for an option that would change nothing; by option, whether it was given."""
+    from agent.view.error import ViewError
+
+    if not live:
+        require_use(
+            of_live, ViewError, found="a view without --live", expected="a run as it goes on", remedy="add --live"
+        )
+    if not film:
+        require_use(of_film, ViewError, found="a view without --film", expected="a film", remedy="add --film")
+    if html or film:
+        found = f"a view with {'--html' if html else '--film'}"
+        require_use(of_page, ViewError, found=found, expected="a page that is served")
 
 
 def _film(log: Path, film: Path, start: float, end: float | None, speed: float) -> None:

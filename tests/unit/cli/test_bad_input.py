@@ -106,7 +106,7 @@ OTHERS = {
     "faults inject on real arms": ("faults", "inject", PAPER, "bus-off", "--set", "driver=dynamixel"),
     "check --set": ("check", PAPER, "--set", ""),
     "tune --form": ("tune", PAPER, "--form", "other"),
-    "tune --damping nan": ("tune", PAPER, "--damping", "nan"),
+    "tune --damping nan": ("tune", PAPER, "--form", "rate", "--damping", "nan"),
     "tune --write nowhere": ("tune", PAPER, "--form", "rate", "--write", "no/where.toml"),
     "tune --write a folder": ("tune", PAPER, "--form", "rate", "--write", "a_folder"),
     "start without an instant": ("start", PAPER),
@@ -274,6 +274,55 @@ def test_an_option_of_a_run_that_would_change_nothing_is_refused(folder: Path, o
     done = coop("run", PAPER, "--duration", "0.001", *options)  # which is refused later
     assert (done.code, done.out) == (2, "")
     assert done.err.startswith(f"coop: {told}")
+
+
+NO_FILM = "found a view without --film, expected a film; add --film, or leave it out"
+NOT_LIVE = "found a view without --live, expected a run as it goes on; add --live, or leave it out"
+NO_PAGE = "expected a page that is served; leave it out"
+RIGID = "found --form reality, expected --form ratio or rate; ask for one of these, or leave it out"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("view", "no.mcap", "--html", "h.html", "--from", 0), f"--from: {NO_FILM}"),
+        (("view", "no.mcap", "--to", 5, "--speed", 2.5), f"--to, --speed: {NO_FILM}"),
+        (("view", PAPER, "--live", "--speed", 1), f"--speed: {NO_FILM}"),
+        (("view", "no.mcap", "--html", "h.html", "--port", 8080), f"--port: found a view with --html, {NO_PAGE}"),
+        (("view", "no.mcap", "--film", "f.gif", "--browser"), f"--browser: found a view with --film, {NO_PAGE}"),
+        (("view", "no.mcap", "--connect", "tcp/127.0.0.1:7448"), f"--connect: {NOT_LIVE}"),
+        (("view", "no.mcap", "--html", "h.html", "--set", "rate_hz=1.0"), f"--set: {NOT_LIVE}"),
+        (("view", "no.mcap", "--film", "f.gif", "--network-config", "n.json5"), f"--network-config: {NOT_LIVE}"),
+        (("tune", PAPER, "--damping", 0.05), f"--damping: {RIGID}"),
+        (("tune", PAPER, "--form", "reality", "--radius", 0.99, "--damping", 0), f"--damping, --radius: {RIGID}"),
+        (
+            ("tune", PAPER, "--form", "rate", "--worst", 0.9),
+            "--worst: found --form rate, expected --form reality; ask for that form, or leave it out",
+        ),
+        (
+            ("tune", PAPER, "--form", "ratio", "--worst", 0.985),
+            "--worst: found --form ratio, expected --form reality; ask for that form, or leave it out",
+        ),
+    ],
+    ids=lambda value: " ".join(map(str, value[2:])) if isinstance(value, tuple) else "",
+)
+def test_an_option_of_a_view_or_a_search_that_would_change_nothing_is_refused(
+    folder: Path, words: tuple[object, ...], told: str
+) -> None:
+    """Whatever its value is, the usual one too."""
+    before = sorted(folder.iterdir())
+    done = coop(*words)
+    assert (done.code, done.out, done.err) == (2, "", f"coop: {told}\n")
+    assert sorted(folder.iterdir()) == before
+
+
+def test_the_help_names_the_margin_that_a_search_keeps_unasked() -> None:
+    from agent.verify.tune import Margin
+
+    said, usual = " ".join(coop("tune", "-h").out.split()), Margin()
+    for text in (f"form reality ({usual.worst})", f"swings, other forms ({usual.damping})",
+                 f"radius, other forms ({usual.radius})"):  # fmt: skip
+        assert text in said
 
 
 def test_no_command_is_forgotten() -> None:
