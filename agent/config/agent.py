@@ -17,7 +17,7 @@ ALONE_STEP_FRACTION = 0.05  # of the largest torque, from tick to tick, of an ar
 
 
 def build_agent(cell: Cell, arm: Arm) -> Agent:
-    """Everything that determines the arm's torque, from the cell file alone.
+    """Everything that determines the arm's torque, from the cell file, its arm files and their URDFs alone.
 
     Raises ConfigError where the cell has a session and the arm no way to its grasp.
     """

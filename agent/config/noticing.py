@@ -1,4 +1,6 @@
-"""From which unexpected wrench on an arm it holds: derived from the cell file alone, so the same on every host.
+"""From which unexpected wrench on an arm it holds: derived from the cell's files (its own, arms', URDFs) alone.
+
+Hosts with the same fingerprint have the same limits.
 
 Without a fault, what the channels of the residual (agent.control.residual) carry comes from
 

@@ -1,4 +1,4 @@
-"""What the unexpected wrench on an arm carries without a fault, from the cell file alone: sizes that limits come from.
+"""What the unexpected wrench on an arm carries without a fault, from the cell's files: sizes that limits come from.
 
 Which limit is made of which part, and how, is for `agent.config.noticing`.
 """
