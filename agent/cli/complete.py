@@ -1,4 +1,4 @@
-"""What the shell offers after a tab: shipped cells, arms and keys of the cell on the line; reads TOML and no more."""
+"""What the shell offers after a tab: shipped cells, arms and keys of the cell on the line, arm models, faults."""
 
 from __future__ import annotations
 
@@ -40,6 +40,15 @@ def arm_models(incomplete: str) -> list[str]:
     """Described arms."""
     described = sorted(path.stem for path in configs.ARMS_DIR.glob("*.toml"))
     return [name for name in described if name.startswith(incomplete)]
+
+
+def faults(incomplete: str) -> list[str]:
+    """Faults by name, and those rows of the list that can be shown; half a second, where the others read TOML alone."""
+    from agent.faults.catalogue import rows
+    from agent.faults.plan import NAMES
+
+    shown = (row.id for row in rows() if row.faults or row.runs)
+    return [name for name in (*NAMES, *shown) if name.startswith(incomplete)]
 
 
 def joints(ctx: typer.Context, incomplete: str) -> list[str]:

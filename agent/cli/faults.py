@@ -60,7 +60,12 @@ def list_faults(
 @app.command()
 def inject(
     cell: CellPath,
-    fault: Annotated[str, typer.Argument(help="Name of a fault (`coop faults list --kinds`), or a row's id.")],
+    fault: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a fault (`coop faults list --kinds`), or a row's id.", autocompletion=complete.faults
+        ),
+    ],
     arm: Annotated[
         str | None,
         typer.Option(help="Arm (the cell's first); plant: telemetry of the truth.", autocompletion=complete.arms),

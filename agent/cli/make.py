@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from agent.cli import complete
 from agent.cli.options import AsJson, Force, note, print_json
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def new(
             "inset=M over the face, base=X,Y,Z,YAW_DEG, pose=X,Y,Z,QW,QX,QY,QZ of the hand in object axes, share=PART, "
             "name=NAME as wanted. One option per arm.",
             show_default=False,
+            autocompletion=complete.arm_models,
         ),
     ] = [],
     mass: Annotated[float | None, typer.Option(help="Mass of the object, kg.", show_default=False)] = None,

@@ -15,6 +15,8 @@ import typer
 import configs
 from agent.cli import complete
 from agent.cli.main import whole
+from agent.faults.catalogue import rows
+from agent.faults.plan import NAMES
 from tests.support.command import coop
 
 SHIPPED = sorted(path.stem for path in configs.CELLS_DIR.glob("*.toml"))
@@ -62,6 +64,23 @@ def test_arms_are_those_of_the_cell(offered: Offered, tmp_path: Path) -> None:
 def test_settings_are_those_of_the_cell(offered: Offered) -> None:
     assert offered("coop run paper --set rate") == ["rate_hz=200.0"]
     assert offered("coop motors setup --arm-model wx200 --joint e") == ["elbow"]
+
+
+def test_arms_of_a_new_cell_are_the_described_models(offered: Offered) -> None:
+    assert offered("coop new x.toml --arm wx2") == ["wx200", "wx250", "wx250s"]
+    assert offered("coop new x.toml --arm wx200 --arm ") == sorted(
+        path.stem for path in configs.ARMS_DIR.glob("*.toml")
+    )
+
+
+def test_faults_are_those_that_inject_knows_and_rows_that_it_can_show(offered: Offered) -> None:
+    assert offered("coop faults inject paper servo-o") == [name for name in NAMES if name.startswith("servo-o")]
+    found = offered("coop faults inject paper ")
+    assert found == [*NAMES, *(row.id for row in rows() if row.faults or row.runs)]
+    assert {"F1", "servo-off"} <= set(found)
+    without = [row.id for row in rows() if not (row.faults or row.runs)]
+    assert without
+    assert not set(without) & set(found), "which it refuses"
 
 
 def test_a_folder_named_like_a_cell_does_not_hide_it(offered: Offered, tmp_path: Path) -> None:
