@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from agent.cli.options import AsJson, CellPath, note, print_json
+from agent.pki import PORT
 
 
 def pki(
@@ -17,7 +18,7 @@ def pki(
         str, typer.Option(help="Name or address under which arms dial the recorder.")
     ] = "recorder.cell",
     listen: Annotated[str, typer.Option(help="Address on which the recorder listens.")] = "0.0.0.0",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Its port.")] = 7447,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Its port.")] = PORT,
     days: Annotated[int, typer.Option(min=1, max=398, help="How long certificates last.")] = 365,
     renew: Annotated[list[str], typer.Option(help="Only make this member's certificate and key anew.")] = [],
     in_place: Annotated[bool, typer.Option("--in-place", help="Configurations name FOLDER, not /etc/coop.")] = False,

@@ -15,12 +15,13 @@ from agent.modes import Mode
 from agent.safety import Flag
 from agent.telemetry.row.health import QUANTITIES
 from agent.telemetry.row.health import Health as ServoTexts
+from agent.telemetry.row.sample import BUS_COUNTERS
 from drivers.dynamixel.servo.codes import HardwareError
 
 TOPIC: Final = "/diagnostics"
 ROS_NAME: Final = "diagnostic_msgs/DiagnosticArray"
 _EVERY_NS: Final = 1_000_000_000
-_FIGURES: Final = ("t", "sigma_min", "late_s", "step_s", "bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
+_FIGURES: Final = ("t", "sigma_min", "late_s", "step_s", *BUS_COUNTERS)
 _MODES: Final = {mode.value: mode.name for mode in Mode}
 _WRONG: Final = (
     Flag.NOT_FINITE | Flag.SINGULAR | Flag.STALE | Flag.OFF_TRACK | Flag.UNEXPECTED | Flag.DAMPED | Flag.BLIND

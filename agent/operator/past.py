@@ -19,13 +19,12 @@ from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import GRIP, Health
-from agent.telemetry.row.sample import AGENT_STATE
+from agent.telemetry.row.sample import AGENT_STATE, BUS_COUNTERS
 from agent.telemetry.row.topics import Kind
 
 OVER_S = 2.0
 SECOND_NS = 1_000_000_000
 ROWS_MAX = 2000
-COUNTERS = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
 _STALE = int(Flag.STALE)
 
 
@@ -89,7 +88,7 @@ class Past:
         servos = zip(health.servo_id, health.joint, health.error_bits, strict=True) if health else ()
         return {
             "flags": [flag.name for flag in Flag if flag and int(flag) & flags],
-            **{name: int(self.rows[name][-1]) if len(self.rows) else None for name in COUNTERS},
+            **{name: int(self.rows[name][-1]) if len(self.rows) else None for name in BUS_COUNTERS},
             "servos": [{"servo_id": number, "joint": joint, "bits": bits} for number, joint, bits in servos if bits],
             "last": self.trouble.text if self.trouble else None,
             "last_utc_ns": self.trouble.utc_ns if self.trouble else None,

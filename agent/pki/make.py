@@ -17,6 +17,7 @@ from agent.atomic import is_full
 from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
 from agent.host.openssl import PkiError, validity
+from agent.pki import PORT
 from agent.pki.certificates import Leaf, cell_of, hosts, make_authority, sign
 from agent.pki.zenoh import Paths, common_name, member_config, recorder_config
 from agent.telemetry.row.topics import PLANT, RECORDER
@@ -35,7 +36,7 @@ class Wish:
     folder: Path
     recorder: str = "recorder.cell"  # name or address that arms dial
     listen: str = "0.0.0.0"  # of the recorder's host; the units' IP filter admits the arms alone
-    port: int = 7447
+    port: int = PORT
     days: int = 365
     in_place: bool = False  # configurations name the files in this folder, not those that systemd hands over
 

@@ -16,7 +16,8 @@ from agent.report.labels import end_labels, room_in
 from agent.report.plotting import CYCLE, STYLES, line, panels, styled, time_axis
 from agent.report.prepared import Prepared
 from agent.report.series import Array, column, component, grasp_force, joint_columns
-from agent.report.together import BUS, thresholds
+from agent.report.together import thresholds
+from agent.telemetry.row.sample import BUS_COUNTERS
 
 HOLDS_ABOVE: Final = "holds above"
 LOADS: Final = (LOAD_AT, STUCK_AT)  # whose limits do not grow with the slip
@@ -175,7 +176,7 @@ def bus(run: Prepared) -> Figure:
     figure, axes = panels(len(run.arms), height_in=1.5, sharey=True, names_in=room_in(["timeouts"]))
     for ax, arm in zip(axes, run.arms, strict=True):
         rows = run.rows[arm.name]
-        for number, name in enumerate(BUS):
+        for number, name in enumerate(BUS_COUNTERS):
             count = rows[name].astype(float)
             if count[-1] > 0:
                 label = name.removeprefix("bus_")

@@ -11,7 +11,8 @@ from agent.report import figures_servos, figures_together
 from agent.report.picture import Picture
 from agent.report.prepared import Prepared
 from agent.report.series import column
-from agent.report.together import BUS, thresholds
+from agent.report.together import thresholds
+from agent.telemetry.row.sample import BUS_COUNTERS
 
 SHARE: Final = (
     "The part of the force on the object that each arm carried, over stretches of one second: Σ f·F / Σ F·F. "
@@ -57,7 +58,7 @@ def together(run: Prepared) -> list[Picture]:
             Picture("pulled", "What pulls the arms back or down", PULLED, partial(figures_together.pulled, run))
         )
     found.append(Picture("margins", "Margins", MARGINS, partial(figures_together.margins, run)))
-    if any(rows[name][-1] > 0 for rows in run.rows.values() for name in BUS):
+    if any(rows[name][-1] > 0 for rows in run.rows.values() for name in BUS_COUNTERS):
         caption = "Timeouts, corrupt answers, alerts and retries since the start."
         found.append(Picture("bus", "Bus errors", caption, partial(figures_together.bus, run)))
     return found + [

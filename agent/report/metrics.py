@@ -28,6 +28,7 @@ from agent.report.results import (
 from agent.report.series import Array, column, component, grasp_force, joint_columns, largest_force, missing_ranges
 from agent.report.together import largest
 from agent.safety import Flag
+from agent.telemetry.row.sample import BUS_COUNTERS
 from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         late_cycles=int(np.sum(late > LATE_PERIODS * period_s)),
         overruns=int(np.sum(late + work > period_s)),
         timing={f: Spread.of(column(whole, f)) for f in ("late_s", "read_s", "step_s", "write_s")},
-        bus={f: int(whole[f][-1]) for f in ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")},
+        bus={f: int(whole[f][-1]) for f in BUS_COUNTERS},
         wrench_cmd=_wrench_size(column(rows, "wrench_cmd")),
         internal_cmd=_wrench_size(column(rows, "wrench_internal")),
         internal_realised=_internal_realised(arm, run),

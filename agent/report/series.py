@@ -222,6 +222,11 @@ def missing_ranges(sequence: NDArray[np.uint64], ticks: int) -> list[tuple[int, 
     return [(int(edges[i]) + 1, int(edges[i + 1]) - 1) for i in jumps]
 
 
+def largest(values: Array) -> float:
+    """The largest of these, zero of none; NaN where one of them is."""
+    return float(values.max()) if len(values) else 0.0
+
+
 def largest_force(internal: Array) -> Array:
     """Size of the force of the arm with the most, `(k,)` N, from sizes `(k, N)`; what is no number counts as none."""
     most = internal.max(axis=1)

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from agent.log.columns import Table
     from agent.log.read import AnyLog
 
-BUS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
 CHANNELS: Final = ("fast_N", "fast_Nm", "slow_N", "slow_Nm")
 ALONG: Final = ("level_N", "weight_N", "lifted_N", "knock_N", "load_N", "stuck_N")
 

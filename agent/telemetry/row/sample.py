@@ -20,6 +20,8 @@ OBJECT_PARAMETERS: Final = 10
 MEMORY_ARRAYS, MEMORY_REST = 10, 72  # of agent.control.memory.Memory: joint arrays, and what stands behind them
 MEMORY_LENGTH: Final = MEMORY_ARRAYS * MAX_JOINTS + MEMORY_REST
 
+BUS_COUNTERS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")  # since the bus was opened
+
 CDR_LITTLE_ENDIAN: Final = 0x00000100  # the encapsulation header 00 01 00 00, read as a little-endian u4
 
 _NUMPY_OF_ROS: Final = {"uint64": "<u8", "int64": "<i8", "float64": "<f8", "uint32": "<u4"}
@@ -112,10 +114,7 @@ AGENT_FIELDS: Final[tuple[Field, ...]] = (
     _f("read_s", 0, "s", "duration of the bus read", timing=True),
     _f("step_s", 0, "s", "duration of the control step", timing=True),
     _f("write_s", 0, "s", "duration of the bus write", timing=True),
-    Field("bus_timeouts", "uint32", 0, "", "cumulative", timing=True),
-    Field("bus_corrupt", "uint32", 0, "", "cumulative", timing=True),
-    Field("bus_alerts", "uint32", 0, "", "cumulative", timing=True),
-    Field("bus_retries", "uint32", 0, "", "cumulative", timing=True),
+    *(Field(name, "uint32", 0, "", "cumulative", timing=True) for name in BUS_COUNTERS),
 )
 
 PLANT_FIELDS: Final[tuple[Field, ...]] = (
