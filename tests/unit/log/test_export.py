@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -182,6 +183,16 @@ def test_a_folder_with_something_in_it_is_kept(log: Path, tmp_path: Path) -> Non
         with pytest.raises(WriteError):
             exported(log, file, replace=replace)
     assert file.read_text() == "mine\n"
+
+
+def test_what_is_no_file_by_the_name_of_a_table_stays_and_nothing_is_written(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    os.mkfifo(out / "left.csv")
+    with pytest.raises(WriteError, match=f"file {out}/left.csv: found a pipe, expected a file, or nothing"):
+        exported(log, out, replace=True)
+    assert list(out.iterdir()) == [out / "left.csv"]
+    assert (out / "left.csv").is_fifo()
 
 
 def test_no_table_of_an_earlier_export_stays_beside_new_ones(log: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -134,6 +135,20 @@ def test_a_film_has_its_pictures_and_pace(tmp_path: Path, name: str) -> None:
         film.load()
         assert film.info["duration"] == pytest.approx(1e3 / FILM_HZ)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_film_behind_a_link_is_the_file_it_leads_to(tmp_path: Path) -> None:
+    link, far = tmp_path / "film.png", tmp_path / "far" / "film"
+    far.parent.mkdir()
+    link.symlink_to("far/film")
+    write_film(the_run(), FilmOptions(link, 0.0, 0.1))
+    assert link.readlink() == Path("far/film")
+    assert sorted(tmp_path.rglob("*")) == [far.parent, far, link]
+    link.unlink()
+    os.mkfifo(link)
+    with pytest.raises(ViewError, match=r"film\.png: found a pipe, expected a file, or nothing"):
+        write_film(the_run(), FilmOptions(link, 0.0, 0.1))
+    assert link.is_fifo()
 
 
 def test_a_film_of_nothing_or_of_another_kind_is_refused(tmp_path: Path) -> None:
