@@ -210,7 +210,7 @@ def test_a_k_v_that_no_gain_can_make_up_for_is_lowered_for_rotation_alone() -> N
 
 def test_no_gains_are_refused_with_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tune, "K_V_FACTORS", (1.0, 0.1))  # the ends of what is tried
-    tuner = Tuner(ideal("rate_hz=20.0"))
+    tuner = Tuner(ideal("rate_hz=20.0", "simulation.substeps_per_cycle=9"))
     with pytest.raises(NoGains, match=r"at 20 Hz: found none.*damping of at least 0\.4; raise rate_hz"):
         tuner.proposals(Margin(damping=0.4))
 
