@@ -22,7 +22,7 @@ def reality_of(cell: Cell) -> Reality | None:
     drawn = draw(cell.file.tolerance, given.seed, cell)
     arms = {name: arm.model_copy(update=_given(given.arms.get(name))) for name, arm in drawn.arms.items()}
     real = drawn.model_copy(update=_given(given) | {"seed": None, "arms": arms})
-    return real.model_copy(update={"delay_jitter_s": min(real.delay_jitter_s, real.delay_s or 0.0)})
+    return _jittering_within(real, real.delay_jitter_s)
 
 
 def _given(values: ArmReality | Reality | None) -> dict[str, Any]:
@@ -54,7 +54,12 @@ def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
         delay_s=believed_s * rng.uniform(*tolerance.delay),
         arms=arms,
     )
-    return drawn.model_copy(update={"delay_jitter_s": min(jitter_s, drawn.delay_s or 0.0)})
+    return _jittering_within(drawn, jitter_s)
+
+
+def _jittering_within(real: Reality, jitter_s: float) -> Reality:
+    """The same with this jitter, or as much of it as its delay has."""
+    return real.model_copy(update={"delay_jitter_s": min(jitter_s, real.delay_s or 0.0)})
 
 
 def _worn(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> ArmReality:

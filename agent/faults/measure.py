@@ -13,7 +13,7 @@ from agent.config.cell import Cell
 from agent.faults.bench import ArmRun, Rehearsal
 from agent.faults.plan import Kind, Target
 from agent.modes import Mode
-from agent.report.series import internal_wrenches, largest
+from agent.report.series import internal_wrenches, largest_or_zero
 from agent.safety import Flag
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Vector
@@ -97,11 +97,11 @@ def measured(run: Rehearsal) -> Measured:
         stopped_s={name: None if at is None else at - onset for name, at in stopped.items()},
         ended={name: _end(arm) for name, arm in run.arms.items()},
         why={name: _why(arm) for name, arm in run.arms.items()},
-        internal_N=largest(force[after]),
-        internal_before_N=largest(force[~after & (t >= 0.0)]),
+        internal_N=largest_or_zero(force[after]),
+        internal_before_N=largest_or_zero(force[~after & (t >= 0.0)]),
         sag_m=_sag(run, t, onset, first_stop),
         moved_rad=_moved(run, t, onset),
-        speed_rad_per_s=largest(np.array([np.abs(seen.dq).max() for _, seen in run.truth])[after]),
+        speed_rad_per_s=largest_or_zero(np.array([np.abs(seen.dq).max() for _, seen in run.truth])[after]),
         others_rad_per_s=_others(run, t, onset),
         fall_m_per_s=_fall(run, t, onset),
         torque_share=max((_share(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
@@ -177,7 +177,7 @@ def _sag(run: Rehearsal, t: Vector, onset: float, stop: float) -> float:
     height = np.array([seen.p_object for _, seen in run.truth]) @ up
     at_stop = float(np.interp(stop, t, height)) if math.isfinite(stop) else math.inf
     wanted = [at_stop if at >= stop else float(np.dot(desired.at(max(at, 0.0)).p, up)) for at in t]
-    return max(0.0, largest((np.array(wanted) - height)[t >= onset]))
+    return max(0.0, largest_or_zero((np.array(wanted) - height)[t >= onset]))
 
 
 def _strayed(run: Rehearsal, t: Vector, onset: float, stop: float) -> float:
@@ -189,7 +189,7 @@ def _strayed(run: Rehearsal, t: Vector, onset: float, stop: float) -> float:
     wanted = np.array([desired.at(max(min(at, stop), 0.0)).p for at in t])
     off = np.array([seen.p_object for _, seen in run.truth]) - wanted
     after = t >= onset
-    return largest(np.linalg.norm(off[after] - off[after][:1], axis=1))
+    return largest_or_zero(np.linalg.norm(off[after] - off[after][:1], axis=1))
 
 
 def _misled(run: Rehearsal, name: str, onset: float) -> float:
@@ -201,7 +201,7 @@ def _misled(run: Rehearsal, name: str, onset: float) -> float:
     begin = sum(each.n for each in run.cell.arms[: run.cell.index(name)])
     times, true = np.array([at for at, _ in run.truth]), np.array([seen.q for _, seen in run.truth])
     joints = (np.interp(t[used], times, true[:, begin + j]) for j in range(arm.n))
-    return largest(np.abs(rows["q_measured"][used][:, : arm.n].T - np.array(list(joints))).ravel())
+    return largest_or_zero(np.abs(rows["q_measured"][used][:, : arm.n].T - np.array(list(joints))).ravel())
 
 
 def _moved(run: Rehearsal, t: Vector, onset: float) -> float:
@@ -222,7 +222,7 @@ def _others(run: Rehearsal, t: Vector, onset: float) -> float:
     """Speed of the fastest joint of the arms to which nothing was done."""
     struck = {str(fault.arm) for fault in run.faults}
     own = np.concatenate([np.full(arm.n, arm.name not in struck) for arm in run.cell.arms])
-    return largest(np.abs(np.array([seen.dq for _, seen in run.truth])[t >= onset][:, own]).ravel())
+    return largest_or_zero(np.abs(np.array([seen.dq for _, seen in run.truth])[t >= onset][:, own]).ravel())
 
 
 def _fall(run: Rehearsal, t: Vector, onset: float) -> float:
@@ -233,7 +233,7 @@ def _fall(run: Rehearsal, t: Vector, onset: float) -> float:
     g = run.cell.gravity
     down = g / np.linalg.norm(g) if g.any() else g
     depth = np.array([seen.p_object for _, seen in run.truth]) @ down
-    return max(0.0, largest(np.gradient(depth[after], t[after])))
+    return max(0.0, largest_or_zero(np.gradient(depth[after], t[after])))
 
 
 def _share(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> float:
@@ -243,7 +243,7 @@ def _share(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> 
         return 0.0
     bound = own.tau_stall_Nm * cell.file.safety.tau_max_fraction_of_stall
     sent = np.abs(rows["tau_sent"][:, : own.n]) / bound
-    return largest(np.nan_to_num(sent[t >= onset]).ravel())
+    return largest_or_zero(np.nan_to_num(sent[t >= onset]).ravel())
 
 
 def _apart(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> float:
@@ -252,7 +252,7 @@ def _apart(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> 
     if not (looped and len(rows)):
         return 0.0
     apart = np.abs(rows["q_twin"] - rows["q_measured"])[:, : cell.arm(name).n]
-    return largest(np.nan_to_num(apart[t >= onset]).ravel())
+    return largest_or_zero(np.nan_to_num(apart[t >= onset]).ravel())
 
 
 def _rounded(value: float | None) -> float | None:

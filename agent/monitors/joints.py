@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-
-import numpy as np
-
 from agent.modes import Mode
 from agent.monitors.bounds import Bounds
 from agent.monitors.tick import Tick, digits, sentence
 from agent.phases import ALONE
 
 FROZEN_S = 0.05  # a reading that stays the same for less says nothing
-_PACK_TWIST = struct.Struct("=6d").pack_into
 
 
 class Speed:
@@ -86,15 +81,13 @@ class Frozen:
         self._last = [float("nan")] * len(bounds.joints)
         self._same = [0] * len(bounds.joints)  # ticks in a row
         self._asked_rad = [0.0] * len(bounds.joints)  # since the reading last changed
-        self._twist = np.zeros(6)
 
     def check(self, at: Tick) -> str:
         """See `agent.monitors.tick.Monitor`."""
         terms = at.outcome.terms
         if at.mode is not Mode.TRACK or terms is None or terms.J_inv_P is None:
             return ""
-        _PACK_TWIST(self._twist.data, 0, *terms.desired.v)  # a tuple as it is takes 1 µs more
-        wanted = terms.J_inv_P.dot(self._twist).tolist()
+        wanted = terms.J_inv_P.dot(terms.desired.v).tolist()
         last, same, asked, period_s = self._last, self._same, self._asked_rad, self._period_s
         for j, (q, dq_des) in enumerate(zip(at.q, wanted, strict=True)):
             if q != last[j]:

@@ -222,7 +222,7 @@ def missing_ranges(sequence: NDArray[np.uint64], ticks: int) -> list[tuple[int, 
     return [(int(edges[i]) + 1, int(edges[i + 1]) - 1) for i in jumps]
 
 
-def largest(values: Array) -> float:
+def largest_or_zero(values: Array) -> float:
     """The largest of these, zero of none; NaN where one of them is."""
     return float(values.max()) if len(values) else 0.0
 

@@ -14,7 +14,7 @@ from agent.config.reality import draw
 from agent.config.schema.reality import Reality
 from agent.control.quaternion import angle_between
 from agent.report.loss import LOST_M, is_lost
-from agent.report.series import internal_wrenches, largest, largest_force
+from agent.report.series import internal_wrenches, largest_force, largest_or_zero
 from agent.study.fault import Fault
 from agent.study.lab import Laboratory, Run
 from drivers.interface import DriverError, Vector
@@ -148,8 +148,8 @@ class _Seen:
         _, off_m, off_rad, own_m, own_rad = seen[counted].T
         force = self._internal_force_N()[counted]
         bounded = {
-            "position_beyond_anchor_m": largest(off_m - own_m),
-            "attitude_beyond_anchor_rad": largest(off_rad - own_rad),
+            "position_beyond_anchor_m": largest_or_zero(off_m - own_m),
+            "attitude_beyond_anchor_rad": largest_or_zero(off_rad - own_rad),
             "internal_force_mean_N": float(force.mean()) if len(force) else 0.0,
             "peak_torque_fraction": float((run.peak_Nm / lab.stall_Nm).max()),
         }
@@ -165,9 +165,9 @@ class _Seen:
             tracked_s=max(0.0, min([until_s, *(fault.at_s for fault in faults)])),
             tripped_s=None if trip is None else trip.t,
             lost_s=None if lost is None else lost[0],
-            position_error_m=max(largest(off_m), LOST_M if lost else 0.0),
-            attitude_error_rad=largest(off_rad),
-            internal_force_max_N=largest(force),
+            position_error_m=max(largest_or_zero(off_m), LOST_M if lost else 0.0),
+            attitude_error_rad=largest_or_zero(off_rad),
+            internal_force_max_N=largest_or_zero(force),
             reaction_s=_reaction_s(run, faults),
             tripped_by="" if trip is None else trip.by,
             why=lost[1] if lost is not None else "" if trip is None else trip.told,

@@ -87,8 +87,11 @@ def verdict(found: Mapping[str, Any]) -> str:
             kept += f"; too few to say it of {PROMISED} % of all realities, which takes {ENOUGH_RUNS} or more"
         return kept
     by = ", ".join(f"{name} {count}" for name, count in found["tripped_by"].items())
-    words = {"lost": f"{found['lost']} lost", "tripped": f"{found['tripped']} tripped ({by})"}
-    words["tripped_before_fault"] = f"{found.get('tripped_before_fault')} tripped before the fault"
+    words = {
+        "lost": f"{found['lost']} lost",
+        "tripped": f"{found['tripped']} tripped ({by})",
+        "tripped_before_fault": f"{found.get('tripped_before_fault')} tripped before the fault",
+    }
     missed = [words.get(key, f"{PROMISED} % quantile of {key} above its bound") for key in found["missed"]]
     return f"does not hold: of {runs} {', '.join(missed)}{noticed}"
 
