@@ -447,6 +447,7 @@ def test_an_arm_is_held_where_no_word_can_be_heard_and_a_signal_releases_it(host
     assert told.startswith(f"no word reaches this hold, SIGUSR1 to process {guard.pid} releases it: control socket")
     assert np.diff(host.rows()["stamp_ns"]).max() < 1e9 * WAIT_S, "the arm is not kept waiting for the folder"
     os.close(reader)
+    host.wait(lambda: "words reach this hold from here on" in host.told())
     guard.send_signal(signal.SIGUSR1)
     assert guard.wait(PATIENCE_S) == 0
 

@@ -120,7 +120,7 @@ def test_a_hold_that_could_not_listen_tries_again_and_hears_words_then(tmp_path:
         deaf = guard._listening(standing, tell, stack)
         assert deaf is None
         around = guard._around(deaf, standing, driver, watched, clock, tell, black_box, Mode.HOLD, stack)
-        for _ in range(second):
+        for _ in range(2 * second):
             around.heartbeat()
         os.close(kept)
         around.mode_changed(Mode.OFF)
