@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from agent.config.schema.arm import Figure, ServoJoint
+from agent.config.schema.tolerance import Tolerance
 from agent.control.friction import JointFriction
+from drivers.interface import Vector
 
 
 def joint_friction(servo: ServoJoint) -> JointFriction:
@@ -29,6 +34,21 @@ def at_rest_Nm(servo: ServoJoint, held_Nm: float) -> float:
 def lifting_Nm(servo: ServoJoint, held_Nm: float) -> float:
     """The same while its motor gives so much and what overcomes the friction, which presses on it too."""
     return joint_friction(servo).bound(1.0, held_Nm, math.copysign(1.0, held_Nm))
+
+
+def unfiled(tolerance: Tolerance, servos: Sequence[ServoJoint]) -> tuple[float, float]:
+    """Breakaway, times Coulomb friction, and load friction that the cell states for an arm whose file has none."""
+    joints = [joint_friction(servo) for servo in servos]
+    breakaway = 0.0 if any(j.breakaway_Nm or j.breakaway_load for j in joints) else tolerance.breakaway
+    return breakaway, 0.0 if any(j.load or j.breakaway_load for j in joints) else tolerance.load_friction
+
+
+def unfiled_Nm(tolerance: Tolerance, servos: Sequence[ServoJoint], held_Nm: Vector) -> Vector:
+    """(n,) the same at most, while motors give held_Nm (n,)."""
+    breakaway, load = unfiled(tolerance, servos)
+    coulomb_Nm = np.array([servo.coulomb_Nm.value for servo in servos])
+    found: Vector = breakaway * coulomb_Nm + load * np.abs(held_Nm)
+    return found
 
 
 def _value(figure: Figure | None, absent: float) -> float:

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.config.cell import Arm, Cell, ConfigError, placement
-from agent.config.friction import lifting_Nm
+from agent.config.friction import lifting_Nm, unfiled_Nm
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.session import Session
 from agent.config.session import rest_joints
@@ -76,6 +76,8 @@ def _bounds(cell: Cell, arm: Arm, shared: _Shared) -> Bounds:
     spec, file = cell.file.safety.monitors, cell.file
     no_load = np.array([m.no_load_rad_per_s for m in arm.servo_models])
     model, k = shared.starts[arm.name]
+    held = k.g + carried_Nm(cell, arm, k)
+    at_rest = _friction(arm, held) + unfiled_Nm(cell.tolerance, arm.servos, held)
     low = model.model.lowerPositionLimit + spec.position_margin_rad
     high = model.model.upperPositionLimit - spec.position_margin_rad
     x, y, z = (-file.object.mass_kg * cell.gravity).tolist()
@@ -93,7 +95,7 @@ def _bounds(cell: Cell, arm: Arm, shared: _Shared) -> Bounds:
         start_rad=file.safety.start_error_max_rad,
         limited_share=spec.limited_share,
         frozen_rad=spec.frozen_rad,
-        frozen_Nm=tuple((FRICTION_TIMES * _friction(arm, k.g + carried_Nm(cell, arm, k))).tolist()),
+        frozen_Nm=tuple((FRICTION_TIMES * at_rest).tolist()),
         load_share=spec.load_share,
         stall_Nm=tuple(arm.tau_stall_Nm.tolist()),
         load_time_s=spec.load_time_s,
@@ -168,10 +170,11 @@ def _errors_at_rest(cell: Cell, arm: Arm, start: _Start) -> Matrix:
     """(6, s) what errors within the tolerance make of W at the start: a column each."""
     (model, k), stated = start, cell.tolerance
     carried = carried_Nm(cell, arm, k)
+    held = k.g + carried
     torques = [
         (stated.masses * k.g)[:, None],
-        np.diag(stated.torque_constant * (k.g + carried)),
-        np.diag(stated.friction[1] * _friction(arm, k.g + carried)),
+        np.diag(stated.torque_constant * held),
+        np.diag(stated.friction[1] * _friction(arm, held) + unfiled_Nm(stated, arm.servos, held)),
         (stated.object * carried)[:, None],
     ]
     found: Matrix = model.task_basis.T @ np.linalg.pinv(k.J).T @ np.column_stack(torques)

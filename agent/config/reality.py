@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from agent.config.cell import Arm, Cell
+from agent.config.friction import unfiled
 from agent.config.schema.reality import ArmReality, Reality
 from agent.config.schema.tolerance import Tolerance
 from agent.control.quaternion import Vec3
 from drivers.interface import Vector
+
+STRIBECK_RAD_PER_S: Final = (0.1, 1.5)  # 1.1 and 1.5 are published of the MX-64; gears of steel let go sooner
 
 
 def reality_of(cell: Cell) -> Reality | None:
@@ -45,6 +48,9 @@ def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
     jitter_s = more.uniform(0.0, tolerance.delay_jitter_s)
     if tolerance.backlash_rad > 0.0:
         arms = {name: _worn(tolerance, more, arm) for name, arm in arms.items()}
+    if cell.file.simulation.effects.friction:
+        sticking = np.random.default_rng([seed, 2])
+        arms = {arm.name: _sticking(tolerance, sticking, arm, arms[arm.name]) for arm in cell.arms}
     drawn = Reality(
         object=rng.uniform(1.0 - tolerance.object, 1.0 + tolerance.object),
         object_centre_m=_offset(rng, tolerance.object_centre_m, normal, cell.T_world_object_start.rotation.T),
@@ -65,6 +71,18 @@ def _jittering_within(real: Reality, jitter_s: float) -> Reality:
 def _worn(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> ArmReality:
     gaps_rad = rng.uniform(0.0, tolerance.backlash_rad, len(arm.zeros_rad))
     return arm.model_copy(update={"backlash_rad": tuple(gaps_rad.tolist())})
+
+
+def _sticking(tolerance: Tolerance, rng: np.random.Generator, arm: Arm, real: ArmReality) -> ArmReality:
+    """With the friction that the cell states and the arm's file does not have."""
+    breakaway, load = unfiled(tolerance, arm.servos)
+    coulomb_Nm = np.array([servo.coulomb_Nm.value for servo in arm.servos])
+    breakaway_Nm, loads = rng.uniform(0.0, breakaway, arm.n) * coulomb_Nm, rng.uniform(0.0, load, arm.n)
+    drawn = {"breakaway_Nm": tuple(breakaway_Nm.tolist()), "stribeck_rad_per_s": _log_uniform(rng, *STRIBECK_RAD_PER_S)}
+    update: dict[str, Any] = drawn if breakaway > 0.0 else {}
+    if load > 0.0:
+        update["load_friction"] = tuple(loads.tolist())
+    return real.model_copy(update=update)
 
 
 def _arm(

@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, placement
-from agent.config.friction import at_rest_Nm
+from agent.config.friction import at_rest_Nm, unfiled_Nm
 from agent.config.once import once_per_cell
 from agent.config.statics import carried_Nm
 from agent.config.trajectory import sample_times
@@ -89,7 +89,7 @@ def _sizes(known: _Arm, places: Sequence[_Place]) -> Matrix:
     errors = [_errors(known, at) for at in places]
     late = [known.S @ (known.cell.tolerance.skew_s * at.v) for at in places]
     changes = [np.column_stack([e - errors[0], x]) for e, x in zip(errors, late, strict=True)]
-    unknown = [_unknown(known) * _rubbing(known, at) for at in places]
+    unknown = [at.to_wrench * _unknown_Nm(known, at) for at in places]
     noise = [_noise(known, at) for at in places]
     of_each = [[_size(columns) for columns in one] for one in (unknown, noise, changes)]
     steps = np.add(of_each[1], [_size(_speeds(known, at)) for at in places])
@@ -130,22 +130,28 @@ def _places(known: _Arm) -> list[_Place]:
     return places
 
 
-def _unknown(known: _Arm) -> float:
-    """Share of an arm's friction that its feed-forward may lack."""
-    low, high = known.cell.tolerance.friction
-    return high if known.offline.friction is None else max(high - 1.0, 1.0 - low, UNKNOWN_LEAST)
-
-
-def _rubbing(known: _Arm, at: _Place) -> Matrix:
-    """(6, n) J⁻ᵀ of the friction of each joint, breakaway and load in it."""
-    held = at.k.g + carried_Nm(known.cell, known.arm, at.k)
-    friction = np.array([at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)])
-    found: Matrix = at.to_wrench * friction
+def _unknown_Nm(known: _Arm, at: _Place) -> Vector:
+    """(n,) friction of each joint that the arm's feed-forward may lack."""
+    stated, held = known.cell.tolerance, _held_Nm(known, at)
+    low, high = stated.friction
+    share = high if known.offline.friction is None else max(high - 1.0, 1.0 - low, UNKNOWN_LEAST)
+    found: Vector = share * _at_rest_Nm(known, held) + unfiled_Nm(stated, known.arm.servos, held)
     return found
 
 
+def _held_Nm(known: _Arm, at: _Place) -> Vector:
+    found: Vector = at.k.g + carried_Nm(known.cell, known.arm, at.k)
+    return found
+
+
+def _at_rest_Nm(known: _Arm, held_Nm: Vector) -> Vector:
+    """(n,) friction of each joint as its file has it, breakaway and load in it."""
+    return np.array([at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held_Nm.tolist(), strict=True)])
+
+
 def _turned_N(known: _Arm, at: _Place) -> float:
-    return float(np.abs(np.array(down(known.cell)) @ _rubbing(known, at)[:3]).sum())
+    rubbing = at.to_wrench[:3] * _at_rest_Nm(known, _held_Nm(known, at))
+    return float(np.abs(np.array(down(known.cell)) @ rubbing).sum())
 
 
 def _noise(known: _Arm, at: _Place) -> Matrix:

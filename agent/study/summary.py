@@ -145,6 +145,8 @@ def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
         "pads_Nm_per_rad": real.pads_Nm_per_rad or 0.0,
         "backlash_rad": float(np.linalg.norm([b for a in arms for b in a.backlash_rad])),
         "delay_jitter_s": real.delay_jitter_s,
+        "breakaway_Nm": float(np.linalg.norm([b for a in arms for b in a.breakaway_Nm])),
+        "load_friction": float(np.linalg.norm([f for a in arms for f in a.load_friction])),
         "skew_s": max(a.skew_s for a in arms) - min(a.skew_s for a in arms),
         **{name: float(np.mean(values)) for name, values in scales.items()},
         **{f"{name}_off": float(np.mean([abs(x - 1.0) for x in values])) for name, values in scales.items()},

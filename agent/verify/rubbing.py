@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.config.friction import joint_friction
+from agent.config.friction import joint_friction, unfiled
 from agent.config.schema.arm import ServoJoint
+from agent.config.schema.tolerance import Tolerance
 from agent.control.models import Matrix
 from drivers.interface import Vector
 
@@ -27,10 +28,11 @@ class Rubbing:
     load: Vector  # per N·m of the motor, of a joint that moves
     breakaway_load: Vector
     viscous: Vector
+    unfiled: tuple[float, float]  # breakaway, times Coulomb friction, and load friction beside those of the file
 
     @classmethod
-    def of(cls, servos: Sequence[ServoJoint]) -> Rubbing:
-        """Of these joints."""
+    def of(cls, servos: Sequence[ServoJoint], tolerance: Tolerance) -> Rubbing:
+        """Of these joints, in a cell that states this."""
         found = [joint_friction(servo) for servo in servos]
         return cls(
             coulomb=np.array([joint.coulomb_Nm for joint in found]),
@@ -38,6 +40,7 @@ class Rubbing:
             load=np.array([joint.load for joint in found]),
             breakaway_load=np.array([joint.breakaway_load for joint in found]),
             viscous=np.array([joint.viscous_Nm_s_per_rad for joint in found]),
+            unfiled=unfiled(tolerance, servos),
         )
 
     @property
@@ -54,8 +57,10 @@ class Rubbing:
         return self.coulomb + self.breakaway + self.load_at_rest * np.abs(tau)
 
     def at_most(self, tau: Matrix) -> Matrix:
-        """The same, and `BREAKAWAY` where the file has less."""
-        return np.maximum(BREAKAWAY * self.coulomb, self.coulomb + self.breakaway) + self.load_at_rest * np.abs(tau)
+        """The same with what the cell states beside, and `BREAKAWAY` where that is less."""
+        more, more_load = self.unfiled
+        constant = np.maximum(BREAKAWAY * self.coulomb, (1.0 + more) * self.coulomb + self.breakaway)
+        return constant + (self.load_at_rest + more_load) * np.abs(tau)
 
     def fed(self, tau_rest: Matrix, sign: Matrix) -> Matrix:
         """Γ (T, n) of the feed-forward at the motors' torques tau_rest + sign Γ: `agent.control.friction.solved`."""

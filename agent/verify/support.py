@@ -259,7 +259,7 @@ def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matr
         load=load,
         held=g + _apply(Jt, np.broadcast_to(load, (len(g), len(load)))),
         stall=arm.tau_stall_Nm,
-        rub=Rubbing.of(arm.servos),
+        rub=Rubbing.of(arm.servos, cell.tolerance),
         smooth_rad_per_s=None if offline.friction is None else offline.friction.smooth_rad_per_s,
     )
 

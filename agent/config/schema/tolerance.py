@@ -34,6 +34,8 @@ def _around_one(value: tuple[float, float]) -> tuple[float, float]:
 Distance = Annotated[float, Field(ge=0.0, le=0.1)]
 Turn = Annotated[float, Field(ge=0.0, le=0.2)]
 Part = Annotated[float, Field(ge=0.0, le=0.9)]  # of what the files say
+Breakaway = Annotated[float, Field(ge=0.0, le=5.0)]  # times Coulomb friction
+LoadPart = Annotated[float, Field(ge=0.0, le=0.5)]  # of the motor's torque
 Times = Annotated[float, Field(ge=0.0, le=10.0)]  # what the files say
 Factors = Annotated[tuple[Times, Times], AS_LIST, AfterValidator(_around_one)]
 Linear = Annotated[float, Field(ge=10.0, le=1e8)]  # as of [simulation.grasp]
@@ -70,6 +72,10 @@ class Tolerance(Strict):
     """The object's centre of mass beside its frame."""
     friction: Factors = (0.6, 1.5)
     """Times the friction in the arm files, from to."""
+    breakaway: Breakaway = 0.0
+    """Friction above Coulomb at rest, times that, of arms whose files have none; 0: none is drawn."""
+    load_friction: LoadPart = 0.0
+    """Friction per N·m of the motor, of arms whose files have none; 0: none is drawn."""
     torque_constant: Part = 0.1
     """Part, of each servo."""
     pads_N_per_m: Annotated[tuple[Linear, Linear], AS_LIST, AfterValidator(_ascending)] = (1e3, 1e6)

@@ -76,6 +76,8 @@ def test_friction_counts_with_a_fifth_however_well_it_is_known(name: str) -> Non
         ("controller.friction_feedforward=false", (True, True, True, True)),
         ("controller.observer.position_gain=0.5", (True, True, True, True)),
         ("safety.noticing.rate_per_s=60.0", (True, True, True, True)),
+        ("tolerance.breakaway=0.5", (True, True, True, True)),
+        ("tolerance.load_friction=0.05", (True, True, True, True)),
         ("tolerance.masses=0.9", (False, False, True, True)),
         ("tolerance.torque_constant=0.5", (False, False, True, True)),
         ("tolerance.zeros_rad=0.2", (False, False, True, False)),
@@ -117,7 +119,25 @@ def test_friction_that_grows_with_the_load_is_that_of_arm_and_object_together(tm
     held = at.k.g + at.k.Jt[:, :3] @ np.array([0.0, 0.0, 0.5 * 0.4 * 9.81])
     friction = [at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)]
     wanted = np.linalg.inv(at.k.J).T * np.array(friction)
-    np.testing.assert_allclose(usual._rubbing(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
+    np.testing.assert_allclose(_rubbing(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
+
+
+def _rubbing(known: usual._Arm, at: usual._Place) -> np.ndarray:
+    """(6, n) J⁻ᵀ of the friction of each joint at rest."""
+    return at.to_wrench * usual._at_rest_Nm(known, usual._held_Nm(known, at))
+
+
+def test_friction_that_no_file_has_counts_beside_what_may_be_wrong_with_the_files(tmp_path: Path) -> None:
+    rubbing = ("tolerance.breakaway=0.5", "tolerance.load_friction=0.05")
+    stated = cell("two_wx200", *rubbing)
+    known = usual._known(stated, stated.arms[1])
+    at = usual._places(known)[4]
+    held, coulomb = usual._held_Nm(known, at), np.array([s.coulomb_Nm.value for s in known.arm.servos])
+    wanted = 0.5 * coulomb + (0.5 * coulomb + 0.05 * np.abs(held))
+    np.testing.assert_allclose(usual._unknown_Nm(known, at), wanted, atol=1e-12)
+    filed = with_figures(stated, tmp_path, pressed_on)
+    as_filed = with_figures(cell("two_wx200"), tmp_path, pressed_on)
+    assert derived(filed) == derived(as_filed), "a file that has such friction says how much there is"
 
 
 def test_errors_of_base_and_grasp_shift_the_object_as_a_turn_and_a_slip_do() -> None:
@@ -156,7 +176,7 @@ def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None
     wanted = [
         [max(np.linalg.norm(columns[rows]) for columns in of) for rows in (slice(3), slice(3, 6))]
         for of in (
-            [0.5 * usual._rubbing(known, at) for at in places],
+            [0.5 * _rubbing(known, at) for at in places],
             [usual._noise(known, at) for at in places],
             changes,
         )
@@ -168,7 +188,7 @@ def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None
     found = usual.usual(short)
     largest = np.max([usual._sizes(one, usual._places(one)) for one in each], axis=0)
     np.testing.assert_allclose(found[:4], largest)
-    turned = [np.abs(usual._rubbing(one, at)[2]).sum() for one in each for at in usual._places(one)]
+    turned = [np.abs(_rubbing(one, at)[2]).sum() for one in each for at in usual._places(one)]
     assert found.turned_N == pytest.approx(max(turned))
 
 

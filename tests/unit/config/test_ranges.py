@@ -85,6 +85,8 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("tolerance.pads_damping_ratio", 0.0, 10.0),
     ("tolerance.skew_s", 0.0, 1.0),
     ("tolerance.backlash_rad", 0.0, 0.1),
+    ("tolerance.breakaway", 0.0, 5.0),
+    ("tolerance.load_friction", 0.0, 0.5),
     ("report.transient_s", 0.0, 1e6),
     ("report.max_position_error_m", None, 100.0),
     ("report.max_attitude_error_rad", None, math.pi),

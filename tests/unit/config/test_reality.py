@@ -12,6 +12,7 @@ import tomli_w
 import configs
 from agent.config.cell import Cell, load_cell
 from agent.config.reality import draw, reality_of
+from agent.config.schema.arm import Figure, Provenance
 from agent.config.schema.driver import DriverKind
 from agent.config.schema.reality import Reality
 from agent.process.describe import run_info
@@ -116,6 +117,47 @@ def test_backlash_and_jitter_are_drawn_up_to_what_is_stated_each_by_itself() -> 
     made = plant_spec(cell("paper", *WORN, "simulation.reality.seed=3"), start_joints(c)).arms[1].actuator
     assert made.backlash_rad.tolist() == list(drawn[3].arms["right"].backlash_rad)
     assert made.delay_jitter_s == jitters[3]
+
+
+RUBBING = ("tolerance.breakaway=0.8", "tolerance.load_friction=0.06")
+
+
+def test_breakaway_and_load_are_drawn_up_to_what_is_stated_each_by_itself_and_change_no_other_error() -> None:
+    c = cell("three_wx250s", *WORN, *RUBBING)
+    drawn = [draw(c.file.tolerance, seed, c) for seed in range(40)]
+    coulomb = {arm.name: [s.coulomb_Nm.value for s in arm.servos] for arm in c.arms}
+    parts = [b / k for r in drawn for n, a in r.arms.items() for b, k in zip(a.breakaway_Nm, coulomb[n], strict=True)]
+    loads = [load for r in drawn for arm in r.arms.values() for load in arm.load_friction]
+    for values, most in ((parts, 0.8), (loads, 0.06)):
+        assert len(set(values)) == len(values) == 40 * 3 * 6
+        assert 0.0 <= min(values) < 0.1 * most
+        assert 0.9 * most < max(values) <= most
+    speeds = [arm.stribeck_rad_per_s for r in drawn for arm in r.arms.values()]
+    assert 0.1 <= min(speeds) < 0.12
+    assert 1.2 < max(speeds) <= 1.5
+    one = cell("three_wx250s", *WORN, RUBBING[1])
+    (alone, plain) = (draw(x.file.tolerance, 3, x) for x in (one, cell("three_wx250s", *WORN)))
+    assert [a.load_friction for a in alone.arms.values()] == [a.load_friction for a in drawn[3].arms.values()]
+    assert all(a.breakaway_Nm == () and a.stribeck_rad_per_s == 1.0 for a in alone.arms.values())
+    free = {n: a.model_copy(update={"load_friction": ()}) for n, a in alone.arms.items()}
+    assert alone.model_copy(update={"arms": free}) == plain
+    made = plant_spec(cell("three_wx250s", *WORN, *RUBBING, "simulation.reality.seed=3"), start_joints(c)).arms[1]
+    assert made.friction is not None
+    assert made.friction.breakaway_Nm.tolist() == list(drawn[3].arms[made.name].breakaway_Nm)
+    assert made.friction.load.tolist() == list(drawn[3].arms[made.name].load_friction)
+
+
+def test_joints_that_do_not_rub_and_files_that_have_such_friction_draw_none() -> None:
+    smooth = cell("paper", *RUBBING, "simulation.effects.friction=false")
+    c = cell("paper", *RUBBING)
+    figure = Figure(value=0.02, status=Provenance.ESTIMATED, source="a test")
+    left = c.arms[0]
+    found = replace(left, servos=(*left.servos[:2], left.servos[2].model_copy(update={"breakaway_Nm": figure})))
+    filed = replace(c, arms=(found, c.arms[1]))
+    for drawn, arm in ((draw(x.file.tolerance, 5, x), x.arms[0].name) for x in (smooth, filed)):
+        assert drawn.arms[arm].breakaway_Nm == ()
+    assert draw(smooth.file.tolerance, 5, smooth).arms["right"].load_friction == ()
+    assert len(draw(filed.file.tolerance, 5, filed).arms["left"].load_friction) == 3, "its file has no load friction"
 
 
 def test_a_delay_jitters_by_no_more_than_there_is_of_it() -> None:

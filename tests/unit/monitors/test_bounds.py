@@ -243,6 +243,11 @@ def test_weight_at_rest_may_be_off_by_what_the_tolerance_allows() -> None:
     both = math.hypot(*parts.values(), friction)
     assert of_left(*level, *parts).gravity[2] == pytest.approx(1.4 * both, rel=0.02)
     assert of_left(*level, "tolerance.friction=[1.0, 3.0]").gravity[2] == pytest.approx(1.4 * 3.0 * friction, rel=0.02)
+    more = 2.0 * np.array([0.2, 0.1, 0.1]) + 0.05 * np.abs(k.g + weight)
+    sticking = of_left(*level, "tolerance.breakaway=1.0", "tolerance.load_friction=0.05")
+    wanted = 1.4 * np.linalg.norm(J_inv_T * more, axis=1)[1]
+    assert sticking.gravity[2] == pytest.approx(wanted, rel=0.02), "beside what the files have"
+    assert sticking.frozen_Nm == pytest.approx(3.0 * more, rel=0.02)
 
 
 def test_a_joint_that_is_pressed_on_may_stick_as_its_load_at_the_start_lets_it(tmp_path: Path) -> None:

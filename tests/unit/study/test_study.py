@@ -552,11 +552,21 @@ def test_errors_are_measured_as_disagreement_and_distance_from_one() -> None:
     assert (found["backlash_rad"], found["delay_jitter_s"]) == (0.0, 0.0)
 
 
-def test_backlash_and_jitter_that_a_study_draws_are_in_its_table_and_among_what_matters() -> None:
-    c = cell("tolerance.backlash_rad=0.006", "tolerance.delay_jitter_s=0.002")
+def test_errors_that_a_study_draws_where_they_are_stated_are_in_its_table_and_among_what_matters() -> None:
+    c = cell(
+        "tolerance.backlash_rad=0.006", "tolerance.delay_jitter_s=0.002",
+        "tolerance.breakaway=0.5", "tolerance.load_friction=0.05",
+    )  # fmt: skip
     drawn = [draw(c.file.tolerance, seed, c) for seed in range(30)]
     gaps = [np.linalg.norm([b for arm in r.arms.values() for b in arm.backlash_rad]) for r in drawn]
-    for error, sizes in (("backlash_rad", gaps), ("delay_jitter_s", [r.delay_jitter_s for r in drawn])):
+    held, loads = (
+        [np.linalg.norm([x for arm in r.arms.values() for x in getattr(arm, key)]) for r in drawn]
+        for key in ("breakaway_Nm", "load_friction")
+    )
+    jitters = [r.delay_jitter_s for r in drawn]
+    for error, sizes in (
+        ("backlash_rad", gaps), ("delay_jitter_s", jitters), ("breakaway_Nm", held), ("load_friction", loads),
+    ):  # fmt: skip
         results = [a_result(0, seed=seed, internal_force_mean_N=float(sizes[seed])) for seed in range(30)]
         assert errors_of(drawn[3], c)[error] == pytest.approx(sizes[3])
         first = influences(c, results)[0]

@@ -110,6 +110,8 @@ def test_friction_of_a_joint_at_rest_counts_with_its_breakaway_and_what_load_mak
     held = k.g + J.T @ (cell.offline(arm).load_share * PLANE[:, :3] @ (-cell.file.object.mass_kg * cell.gravity))
     coulomb = np.array([s.coulomb_Nm.value for s in arm.servos])
     np.testing.assert_allclose(columns(cell), 0.5 * np.diag(coulomb), atol=1e-9)
+    unfiled = gentle("paper", *EXACT, "tolerance.breakaway=0.8", "tolerance.load_friction=0.05")
+    np.testing.assert_allclose(columns(unfiled), np.diag(0.8 * coulomb + 0.05 * np.abs(held)), atol=1e-9)
     figures = {"breakaway_Nm": 0.3, "stribeck_rad_per_s": 1.5, "load_friction": 0.05, "breakaway_load_friction": 0.1}
     stuck = with_figures(cell, tmp_path / "arms", lambda _: figures)
     np.testing.assert_allclose(columns(stuck), 0.5 * np.diag(coulomb + 0.3 + 0.15 * np.abs(held)), atol=1e-9)

@@ -137,6 +137,15 @@ def test_what_joints_at_rest_may_resist_by_is_not_called_not_held_nor_counted_on
     assert without(with_figures(cell, tmp_path / "arms", lambda _: figures), 0, 0.5).fate is Fate.MAY_FALL
 
 
+def test_friction_that_the_cell_states_and_no_file_has_is_not_called_not_held_either() -> None:
+    stated = ("tolerance.breakaway=3.0", "tolerance.load_friction=0.2")
+    plain, rubs = (
+        gentle("two_wx200", *LEVEL, "object.mass_kg=0.8", "controller.friction_feedforward=false", *more)
+        for more in ((), stated)
+    )
+    assert (without(plain, 0, 0.5).fate, without(rubs, 0, 0.5).fate) == (Fate.NOT_HELD, Fate.MAY_FALL)
+
+
 def test_a_breakaway_that_alone_holds_the_object_is_not_counted_on_once_it_moves(tmp_path: Path) -> None:
     cell = gentle("two_wx200", *LEVEL, "object.mass_kg=0.8", "controller.friction_feedforward=false")
     figures = {"breakaway_Nm": 1.0, "stribeck_rad_per_s": 1.0}
