@@ -19,6 +19,7 @@ import numpy as np
 
 from agent.config import noticing
 from agent.config.cell import Arm, Cell, ConfigError
+from agent.config.friction import joint_friction
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.driver import DriverKind
 from agent.control.adaptation_bound import ReferenceTwist, estimated_wrench
@@ -27,7 +28,7 @@ from agent.control.models import ArmModel
 from agent.control.residual import Channels
 from agent.monitors.bounds import Name
 from agent.monitors.gravity import WINDOW_S, WINDOWS
-from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.finding import Finding, Verdict, judged, warning
 from agent.verify.path import start_error
 from drivers.interface import Vector
 
@@ -82,6 +83,24 @@ def noticed(cell: Cell) -> list[Finding]:
         return [Finding(what, "cell", found, "")]
     pulls = Finding("an arm that holds pulls back", "cell", f"up to {brace.limit_N:g} N where it is carried on", "")
     return [Finding(what, "cell", found, ""), pulls]
+
+
+def unfiled(cell: Cell) -> list[Finding]:
+    """Arms moved by servos of whose breakaway and load friction neither file nor cell says anything; limits lack it."""
+    stated = cell.tolerance
+    if cell.file.driver is not DriverKind.DYNAMIXEL or stated.breakaway or stated.load_friction:
+        return []
+    arms = [arm.name for arm in cell.arms if not any(joint_friction(servo).sticks for servo in arm.servos)]
+    if not arms or not cell.file.safety.noticing.enabled:
+        return []
+    return [
+        warning(
+            "friction of joints at rest", ", ".join(arms), "no more than of joints that move: so the arm files have it",
+            "breakaway, or friction that grows with load, as servos have it",
+            "run `coop identify`, or state tolerance.breakaway and tolerance.load_friction (0.5 and 0.05, say): an arm "
+            "may hold for what its own joints do",
+        )
+    ]  # fmt: skip
 
 
 def unlearnt(cell: Cell, models: Sequence[ArmModel], q_start: Sequence[Vector]) -> list[Finding]:

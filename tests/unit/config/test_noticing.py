@@ -14,7 +14,8 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.friction import at_rest_Nm, joint_friction, lifting_Nm
 from agent.config.noticing import derived, thresholds
 from agent.control.residual import Channels, Residual
-from agent.verify.noticing import noticed, rested
+from agent.verify.check import examine
+from agent.verify.noticing import noticed, rested, unfiled
 from tests.support.arm_files import pressed_on, with_figures
 
 # largest channels over realities without a fault; of two_models, the slow ones, over 200
@@ -182,7 +183,7 @@ def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None
         )
     ]
     steps = [[*map(norms, (usual._noise(known, at), usual._speeds(known, at)))] for at in places]
-    wanted.append(np.max([np.add(*both) for both in steps], axis=0))
+    wanted.append(np.max(np.sum(steps, axis=1), axis=0))
     np.testing.assert_allclose(usual._sizes(known, places), wanted)
     each = [usual._known(short, one) for one in short.arms]
     found = usual.usual(short)
@@ -292,6 +293,19 @@ def test_a_pose_out_of_reach_names_the_arm_and_the_way_out() -> None:
     assert thresholds(cell("paper_real", "trajectory.p_amplitude_m=[0.5, 0.0, 0.0]", *typed)).fast_N == 3.0
     (finding,) = noticed(far)
     assert finding.verdict == "refused"
+
+
+def test_check_warns_of_arms_on_whose_friction_at_rest_nobody_says_anything(tmp_path: Path) -> None:
+    real = 'driver="dynamixel"'
+    (found,) = unfiled(cell("paper_real", real))
+    assert (found.where, found.verdict) == ("left, right", "warning")
+    assert "tolerance.breakaway and tolerance.load_friction" in found.remedy
+    for said in ("tolerance.breakaway=0.5", "tolerance.load_friction=0.05", "safety.noticing.enabled=false"):
+        assert unfiled(cell("paper_real", real, said)) == []
+    assert unfiled(cell("paper_real")) == [], "a simulated arm has what its file says"
+    loaded = with_figures(cell("paper_real", real), tmp_path, lambda _: {"load_friction": 0.05})
+    assert unfiled(loaded) == []
+    assert found in examine(cell("paper_real", real), thorough=False).findings
 
 
 def test_check_says_them() -> None:
