@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +17,7 @@ from agent.control.models import ArmModel
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.interface import Vector
 
-HALVINGS = 6  # to the limit that is within reach
+HALVINGS = 6  # to the limit that holds
 
 
 def alignment_reach(
@@ -30,29 +32,37 @@ def alignment_reach(
         if i == cell.anchor:
             continue
         lost = next((t for q, t in zip(along, instants, strict=True) if not _follows(cell, model, q[i], 1.0)), None)
-        share = 1.0 if lost is None else _largest(cell, model, [q[i] for q in along])
+        own = [q[i] for q in along]
         findings.append(
             judged(
                 "limits of the alignment", arm.name,
                 "within reach" if lost is None else f"out of reach at t = {lost:.3g} s",
                 f"{spec.max_m * 1e3:g} mm and {spec.max_rad * 1e3:g} mrad in every direction", holds=lost is None,
-                remedy=f"set max_m = {share * spec.max_m:.2g} and max_rad = {share * spec.max_rad:.2g}",
+                remedy="" if lost is None else set_to(cell, partial(_follows_all, cell, model, own)),
                 otherwise=Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING,
             )
         )  # fmt: skip
     return findings
 
 
-def _largest(cell: Cell, model: ArmModel, along: Sequence[Vector]) -> float:
-    """Part of both limits that is within reach everywhere."""
+def set_to(cell: Cell, holds: Callable[[float], bool]) -> str:
+    """Remedy that names both limits, as much of them as `holds`."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if all(_follows(cell, model, q, middle) for q in along):
-            low = middle
-        else:
-            high = middle
-    return low
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    spec = cell.file.controller.alignment
+    return f"set max_m = {_less(low * spec.max_m)} and max_rad = {_less(low * spec.max_rad)}"
+
+
+def _less(value: float) -> str:
+    """Two digits of it, never more than it."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 1) if value > 0.0 else 1.0
+    return f"{math.floor(value / digit) * digit:.2g}"
+
+
+def _follows_all(cell: Cell, model: ArmModel, along: Sequence[Vector], part: float) -> bool:
+    return all(_follows(cell, model, q, part) for q in along)
 
 
 def _follows(cell: Cell, model: ArmModel, q: Vector, part: float) -> bool:

@@ -7,8 +7,9 @@ or `max_rad` in every direction of its task.  The object is where the anchor has
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Final, NamedTuple
 
 import pinocchio as pin
 
@@ -16,12 +17,20 @@ from agent.config.cell import Cell, placement
 from agent.config.schema.driver import DriverKind
 from agent.control import ik
 from agent.control.models import ArmModel
-from agent.verify.alignment_reach import shifts
+from agent.verify.alignment_reach import set_to, shifts
 from agent.verify.collision.scene import Scene
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.interface import Vector
 
 PLACES: Final = 6  # along the motion
+
+
+class _Near(NamedTuple):
+    """What an arm comes nearest to."""
+
+    distance_m: float
+    pair: str
+    t_s: float
 
 
 def alignment_room(
@@ -39,16 +48,16 @@ def alignment_room(
     every = max(1, math.ceil(len(instants) / PLACES))
     places = list(zip(along, instants, strict=True))[::every]
     return [
-        _judged(cell, arm.name, _nearest(cell, scene, models[i], i, places))
+        _judged(cell, arm.name, partial(_nearest, cell, scene, models[i], i, places))
         for i, arm in enumerate(cell.arms)
         if i != cell.anchor
     ]
 
 
 def _nearest(
-    cell: Cell, scene: Scene, model: ArmModel, i: int, places: Sequence[tuple[Sequence[Vector], float]]
-) -> tuple[float, str, float] | None:
-    """Least distance (m) of arm i, between what, and when; None where nothing can be near it."""
+    cell: Cell, scene: Scene, model: ArmModel, i: int, places: Sequence[tuple[Sequence[Vector], float]], part: float
+) -> _Near | None:
+    """What arm i comes nearest to at this part of its limits; None where nothing can be near it."""
     motion = cell.trajectory()
     pairs = [*scene.itself(i), *scene.with_object(i), *scene.with_table(i)]
     for j in range(len(cell.arms)):
@@ -58,7 +67,7 @@ def _nearest(
     poses, objects, times = [], [], []
     for q, t in places:
         desired = motion.at(t)
-        for moved in _shifted(cell, model, q[i]):
+        for moved in _shifted(cell, model, q[i], part):
             poses.append([*q[:i], moved, *q[i + 1 :]])
             objects.append(placement(desired.p, desired.quat))
             times.append(t)
@@ -67,13 +76,13 @@ def _nearest(
     found = scene.way(poses, objects).least(pairs)
     if found is None:
         return None
-    return found.distance_m, ", ".join(scene.shapes[n].label for n in found.pair), times[found.place]
+    return _Near(found.distance_m, ", ".join(scene.shapes[n].label for n in found.pair), times[found.place])
 
 
-def _shifted(cell: Cell, model: ArmModel, q: Vector) -> list[Vector]:
+def _shifted(cell: Cell, model: ArmModel, q: Vector, part: float) -> list[Vector]:
     """Joint angles (n,) at every limit that is within reach; those beyond are told by agent.verify.alignment_reach."""
     here, found = model.object_pose(q), []
-    for shift in shifts(cell, model, 1.0):
+    for shift in shifts(cell, model, part):
         moved = pin.SE3(pin.exp3(shift[3:]) @ here.rotation, here.translation + shift[:3])
         try:
             found.append(ik.solve(model, moved, q))
@@ -82,14 +91,27 @@ def _shifted(cell: Cell, model: ArmModel, q: Vector) -> list[Vector]:
     return found
 
 
-def _judged(cell: Cell, name: str, near: tuple[float, str, float] | None) -> Finding:
-    spec, what = cell.file.controller.alignment, "distances up to the limits of the alignment"
+def _judged(cell: Cell, name: str, nearest: Callable[[float], _Near | None]) -> Finding:
+    """nearest: of a part of the limits."""
+    what, near = "distances up to the limits of the alignment", nearest(1.0)
     if near is None:
         return Finding(what, name, "nothing is near", "")
-    distance, pair, t = near
+    distance = near.distance_m
     size = f"overlap by {-distance * 1e3:.1f} mm" if distance < 0.0 else f"{distance * 1e3:.1f} mm"
     return judged(
-        what, name, f"{size} ({pair}, t = {t:.2f} s)", "no contact", holds=distance > 0.0,
-        remedy=f"lower max_m = {spec.max_m:g} or max_rad = {spec.max_rad:g}, or make room",
+        what, name, f"{size} ({near.pair}, t = {near.t_s:.2f} s)", "no contact", holds=distance > 0.0,
+        remedy="" if distance > 0.0 else f"{_room(cell, nearest)}, or make room",
         otherwise=Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING,
     )  # fmt: skip
+
+
+def _room(cell: Cell, nearest: Callable[[float], _Near | None]) -> str:
+    """How much of the limits there is room for."""
+
+    def is_clear(part: float) -> bool:
+        near = nearest(part)
+        return near is None or near.distance_m > 0.0
+
+    if not is_clear(0.0):
+        return "take the arm away from what it touches without any shift"
+    return set_to(cell, is_clear)

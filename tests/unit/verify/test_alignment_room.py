@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,14 @@ def test_limits_that_touch_are_a_warning_in_simulation_and_refused_on_servos() -
     (found,) = room(*wide)
     assert found.verdict is Verdict.WARNING
     assert "overlap by" in found.found
-    assert "lower max_m = 0.02" in found.remedy
+    said = re.fullmatch(r"set max_m = (\S+) and max_rad = (\S+), or make room", found.remedy)
+    assert said is not None
+    (followed,) = room(*wide, *(f"controller.alignment.{k}={said[i]}" for i, k in ((1, "max_m"), (2, "max_rad"))))
+    assert followed.verdict is Verdict.OK
+    wider = f"controller.alignment.max_m={1.2 * float(said[1])}"
+    assert room(*wide, wider)[0].verdict is Verdict.WARNING, "no less than there is room for"
+    (touching,) = room(*LEVEL, "object.size_m=[0.4, 0.044, 0.044]", STRAIGHT)
+    assert touching.remedy.startswith("take the arm away from what it touches without any shift")
     assert room(*wide, *SERVOS)[0].verdict is Verdict.REFUSED
     assert WHAT in [f.what for f in examine(load_cell(Path("two_wx200")), thorough=True).findings]
     refused = examine(load_cell(Path("two_wx200"), [*SERVOS, *wide, "safety.collision_margin_m=0.0"]))
