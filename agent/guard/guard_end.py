@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from agent.guard.line import MAX_BYTES, GuardError, Said, Word, close_all, received, understood
-from agent.host.unix_socket import listen_alone, peer_uid, remove, said_of
+from agent.host.unix_socket import listen_alone, remove, said_of
 from drivers.interface import Refusal
+from drivers.peer import peer_uid
 
 REFUSED_MAX = 4
 BACKLOG = 2

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import struct
 import time
 from collections.abc import Iterator
 from errno import ETIMEDOUT
@@ -13,7 +12,6 @@ from pathlib import Path
 
 from agent.host.flock import holder, lock
 
-_CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _NO_SERVER = ConnectionRefusedError, FileNotFoundError
 WAIT_S = 5.0  # for others that begin in the same folder, which takes each of them some milliseconds
 _LOOK_S = 0.01
@@ -37,13 +35,6 @@ def listen_alone(path: Path, backlog: int, wait_s: float = WAIT_S) -> tuple[sock
         own.listen(backlog)
         undo.pop_all()
         return own, _identity(path)
-
-
-def peer_uid(connected: socket.socket) -> int:
-    """The user of the process at the other end, as the kernel says.  Raises OSError."""
-    credentials = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    uid: int = _CREDENTIALS.unpack(credentials)[1]
-    return uid
 
 
 def remove(path: Path, made: Identity) -> None:

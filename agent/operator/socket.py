@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent.host.unix_socket import WAIT_S, listen_alone, peer_uid, remove, said_of
+from agent.host.unix_socket import WAIT_S, listen_alone, remove, said_of
 from agent.modes import Event, Mode
 from agent.operator.error import ControlError
 from agent.operator.message import MAX_BYTES, Reply, Request
@@ -24,6 +24,7 @@ from agent.operator.promise import Promise
 from agent.operator.session_table import SESSION
 from agent.operator.table import EVENT_OF, Verb, effect
 from drivers.clock import utc_offset_ns
+from drivers.peer import peer_uid
 
 _CLIENTS_MAX = 8
 _FORWARD = (Verb.START, Verb.APPROACH, Verb.GRASP)  # not on the way back

@@ -6,7 +6,6 @@ import contextlib
 import os
 import socket
 import stat
-import struct
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -15,7 +14,6 @@ from sim_backend.physics.spec import PlantError
 
 LONGEST_PATH_BYTES: Final = 107  # sun_path without its terminating zero
 BACKLOG: Final = 16
-PEER_CREDENTIALS: Final = struct.Struct("=iII")  # pid, uid, gid
 
 
 class Listener:
@@ -89,10 +87,3 @@ def _clear(path: Path) -> None:
         expected="a free path",
         remedy="stop that run, or give this one another socket",
     )
-
-
-def peer_uid(connection: socket.socket) -> int:
-    """User on the other side, as the kernel knows it."""
-    raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, PEER_CREDENTIALS.size)
-    uid: int = PEER_CREDENTIALS.unpack(raw)[1]
-    return uid

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from drivers.interface import ConnectError, Refusal
-from sim_backend.served.listener import Listener, peer_uid
+from drivers.peer import peer_uid
+from sim_backend.served.listener import Listener
 from sim_backend.served.protocol import (
     HEADER,
     MAX_MESSAGE_BYTES,

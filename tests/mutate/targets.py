@@ -147,6 +147,7 @@ TARGETS = (
         tuple(f"{UNIT}/process/{name}.py" for name in ("test_float_loop", "test_float_ending")),
     ),
     Target("agent.host.unix_socket", (f"{UNIT}/operator/test_control_socket.py", f"{UNIT}/guard/test_line.py")),
+    Target("drivers.peer", (f"{UNIT}/drivers/test_peer.py",)),
     Target("agent.operator.promise", (f"{UNIT}/operator/test_two_operators.py",)),
     Target(
         "agent.operator.socket",
