@@ -1,4 +1,4 @@
-"""Where the processes of one host meet when nobody says otherwise, and the folder they meet in."""
+"""Where the processes of one host meet: the folder when nobody says otherwise, and the names in any such folder."""
 
 from __future__ import annotations
 
@@ -105,34 +105,59 @@ def _own_dirs(cell: str) -> tuple[Path, ...]:
     return alone, alone / "coop", alone / "coop" / cell
 
 
-def ring_path(cell: str, name: str) -> Path:
+def ring_in(folder: Path, name: str) -> Path:
     """Ring of an arm or of the plant."""
-    return runtime_dir(cell) / f"{name}.ring"
+    return folder / f"{name}.ring"
+
+
+def control_in(folder: Path, arm: str) -> Path:
+    """Control socket of an arm."""
+    return folder / f"{arm}.control"
+
+
+def guard_in(folder: Path, arm: str) -> Path:
+    """Socket of an arm's guard."""
+    return folder / f"{arm}.guard"
+
+
+def plant_socket_in(folder: Path) -> Path:
+    """Socket of the simulated cell."""
+    return folder / "plant.sock"
+
+
+def emulated_port_in(folder: Path, arm: str) -> Path:
+    """Port of an arm whose servos are emulated."""
+    return folder / arm
+
+
+def ring_path(cell: str, name: str) -> Path:
+    """`ring_in` the cell's folder."""
+    return ring_in(runtime_dir(cell), name)
 
 
 def ring_paths(cell: str, name: str) -> tuple[Path, ...]:
     """Where the ring of an arm may be: of an agent started by hand, or by its unit."""
-    return ring_path(cell, name), SERVICES_DIR / name / f"{name}.ring"
+    return ring_path(cell, name), ring_in(SERVICES_DIR / name, name)
 
 
 def control_path(cell: str, arm: str) -> Path:
-    """Control socket of an arm."""
-    return runtime_dir(cell) / f"{arm}.control"
+    """`control_in` the cell's folder."""
+    return control_in(runtime_dir(cell), arm)
 
 
 def control_paths(cell: str, arm: str) -> tuple[Path, ...]:
     """Where the control socket of an arm may be: of an agent started by hand, or by its unit."""
-    return control_path(cell, arm), SERVICES_DIR / arm / f"{arm}.control"
+    return control_path(cell, arm), control_in(SERVICES_DIR / arm, arm)
 
 
 def guard_path(cell: str, arm: str) -> Path:
-    """Socket of an arm's guard."""
-    return runtime_dir(cell) / f"{arm}.guard"
+    """`guard_in` the cell's folder."""
+    return guard_in(runtime_dir(cell), arm)
 
 
 def plant_socket_path(cell: str) -> Path:
-    """Socket of the simulated cell."""
-    return runtime_dir(cell) / "plant.sock"
+    """`plant_socket_in` the cell's folder."""
+    return plant_socket_in(runtime_dir(cell))
 
 
 def log_path(folder: Path, cell: str) -> Path:

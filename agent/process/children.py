@@ -11,6 +11,8 @@ from pathlib import Path
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
 from agent.host.child import Child, wait_all
+from agent.host.info import CELL_FILE, RUN_FILE
+from agent.host.paths import control_in, emulated_port_in, plant_socket_in, ring_in
 from agent.host.share import keep_to, one_memory_layout, share_out
 from agent.operator.words import start_patiently
 from agent.process.commands import (
@@ -69,9 +71,8 @@ class Children:
         self._whole = whole
         self.person: Person | None = None  # who stands beside the arms of a whole session
         self._words = words_folder(log.parent)
-        self._cell_path = runtime / "cell.toml"
+        self._cell_path, self._run_info_path = runtime / CELL_FILE, runtime / RUN_FILE
         self._cell_path.write_bytes(cell.toml)
-        self._run_info_path = runtime / "run.json"
         self._run_info_path.write_bytes(run_info(cell, kind.driver, seed))
         self._recorder: Child | None = None
         self._plant: Child | None = None
@@ -185,7 +186,7 @@ class Children:
             control=self._control(arm),
             driver=DriverKind.DYNAMIXEL if wire else DriverKind.SIM,
             plant_socket=None if self._kind is RunKind.WIRE else self._socket,
-            port=str(self._runtime / arm) if wire else None,
+            port=str(emulated_port_in(self._runtime, arm)) if wire else None,
             emulated=wire or self._kind is RunKind.HIL,
             real_time=self._kind in (RunKind.REAL_TIME, RunKind.HIL),
             whole=self._whole,
@@ -271,13 +272,13 @@ class Children:
 
     @property
     def _socket(self) -> Path:
-        return self._runtime / "plant.sock"
+        return plant_socket_in(self._runtime)
 
     def _control(self, arm: str) -> Path:
-        return self._runtime / f"{arm}.control"
+        return control_in(self._runtime, arm)
 
     def _ring(self, name: str) -> Path:
-        return self._runtime / f"{name}.ring"
+        return ring_in(self._runtime, name)
 
     def _require_alive(self) -> None:
         """Raise ChildFailed when a process that should run has ended, or one that has ended did so with an error."""

@@ -6,11 +6,14 @@ from pathlib import Path
 
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
+from agent.host.info import CELL_FILE, RUN_FILE
+from agent.host.paths import control_in, emulated_port_in, guard_in, ring_in
 from agent.process.commands import AgentCommand, EmulateCommand, GuardCommand, RecordCommand, TelemetryCommand
 from agent.process.describe import run_info
 from agent.process.floating_cell import FloatOptions, port_for
 from agent.process.folder import LOG_NAME
 from agent.telemetry.link.session import FREE_PORT
+from agent.telemetry.row.topics import PLANT
 from drivers.clock import utc_offset_ns
 
 
@@ -19,7 +22,7 @@ class FloatCommands:
 
     def __init__(self, cell: Cell, options: FloatOptions, out: Path, runtime: Path) -> None:
         self._cell, self._options, self._out, self._runtime = cell, options, out, runtime
-        self._cell_path, self._run_info_path = runtime / "cell.toml", runtime / "run.json"
+        self._cell_path, self._run_info_path = runtime / CELL_FILE, runtime / RUN_FILE
         self._cell_path.write_bytes(cell.toml)
         self._run_info_path.write_bytes(run_info(cell, DriverKind.DYNAMIXEL, seed=0))
         self._utc_offset_ns = utc_offset_ns()  # one for all arms: the wall clock may be set between starts
@@ -34,7 +37,7 @@ class FloatCommands:
     def emulate(self) -> EmulateCommand:
         """Emulated servos of all arms."""
         return EmulateCommand(
-            cell=self._cell_path, ports=self._runtime, ring=self._runtime / "plant.ring", faults=None, seed=0,
+            cell=self._cell_path, ports=self._runtime, ring=self.ring(PLANT), faults=None, seed=0,
             utc_offset_ns=self._utc_offset_ns,
         )  # fmt: skip
 
@@ -43,20 +46,22 @@ class FloatCommands:
         return AgentCommand(
             cell=self._cell_path, arm=name, ring=self.ring(name), control=self.control(name),
             driver=DriverKind.DYNAMIXEL, port=self._port(name), emulated=self._options.emulate,
-            priority=self._options.priority, guard=self._runtime / f"{name}.guard",
+            priority=self._options.priority, guard=guard_in(self._runtime, name),
             allow_no_realtime=self._options.no_realtime, utc_offset_ns=self._utc_offset_ns,
         )  # fmt: skip
 
     def guard(self, name: str) -> GuardCommand:
         """Its guard."""
         return GuardCommand(
-            cell=self._cell_path, arm=name, socket=self._runtime / f"{name}.guard",
+            cell=self._cell_path, arm=name, socket=guard_in(self._runtime, name),
             control=self.control(name), post_mortem=self._out, driver=DriverKind.DYNAMIXEL,
             port=self._port(name), emulated=self._options.emulate, priority=self._options.priority,
         )  # fmt: skip
 
     def _port(self, name: str) -> str:
-        return str(self._runtime / name) if self._options.emulate else port_for(self._cell, self._options, name)
+        if self._options.emulate:
+            return str(emulated_port_in(self._runtime, name))
+        return port_for(self._cell, self._options, name)
 
     def telemetry(self, name: str, endpoint: str) -> TelemetryCommand:
         """Its telemetry; endpoint: the recorder's."""
@@ -67,8 +72,8 @@ class FloatCommands:
 
     def control(self, name: str) -> Path:
         """The socket where an arm that moves is told to."""
-        return self._runtime / f"{name}.control"
+        return control_in(self._runtime, name)
 
     def ring(self, name: str) -> Path:
-        """An arm's rows."""
-        return self._runtime / f"{name}.ring"
+        """Rows of an arm or of the plant."""
+        return ring_in(self._runtime, name)

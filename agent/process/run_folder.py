@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.host.flock import lock
+from agent.host.paths import ring_in
 from agent.telemetry.ring.file import is_locked
 from agent.telemetry.ring.texts import TEXT_FORMAT, TEXT_SLOTS
 from agent.telemetry.ring.writer import file_bytes
@@ -92,7 +93,7 @@ def _remove_dead(folder: Path) -> None:
         return
     held = os.open(folder / LOCK, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     try:
-        if lock(held) and not any(map(_is_written, folder.glob("*.ring"))):
+        if lock(held) and not any(map(_is_written, folder.glob(ring_in(folder, "*").name))):
             shutil.rmtree(folder)  # which follows no link
     finally:
         os.close(held)

@@ -190,7 +190,7 @@ def emulate(command: EmulateCommand, listener: Listener) -> int:
     """Emulated servos of the cell's arms on pseudo terminals."""
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
-    from agent.host.paths import make_runtime_dir, ring_path
+    from agent.host.paths import emulated_port_in, make_runtime_dir, ring_path
     from agent.process.emulate import about_the_object, gripping, run_emulate, run_emulate_alone
     from agent.process.whole import at_rest
     from agent.telemetry.row.topics import PLANT
@@ -204,7 +204,7 @@ def emulate(command: EmulateCommand, listener: Listener) -> int:
     alone = loaded.file.hil is not None or (floating is not None and not floating.holding)
     if command.ring is None and not alone:
         make_runtime_dir(name)
-    places = {arm.name: command.ports / arm.name for arm in loaded.arms}
+    places = {arm.name: emulated_port_in(command.ports, arm.name) for arm in loaded.arms}
     options = ServeOptions(places, command.faults, command.control, command.seed)
     if alone:
         listener.say(run_emulate_alone(loaded, options, timing=timing, stop=requested, ready=ready))

@@ -12,11 +12,19 @@ from agent.host import paths
 from agent.host.paths import (
     PlaceError,
     barred,
+    control_in,
     control_path,
+    control_paths,
+    emulated_port_in,
     foreign_folder,
+    guard_in,
+    guard_path,
     make_runtime_dir,
+    plant_socket_in,
     plant_socket_path,
+    ring_in,
     ring_path,
+    ring_paths,
     runtime_dir,
 )
 
@@ -34,6 +42,17 @@ def test_everything_of_a_cell_lies_in_one_folder(session: Path) -> None:
     assert {p.parent for p in (ring_path("paper", "a"), control_path("paper", "a"), plant_socket_path("paper"))} == {
         folder
     }
+
+
+def test_a_name_is_the_same_in_every_folder_in_which_processes_meet(session: Path) -> None:
+    run, cell, unit = Path("/dev/shm/coop-run-x"), session / "coop" / "paper", Path("/run/coop/left")
+    assert [p.name for p in (ring_in(run, "left"), control_in(run, "left"), guard_in(run, "left"))] == [
+        "left.ring", "left.control", "left.guard",
+    ]  # fmt: skip
+    assert (plant_socket_in(run), emulated_port_in(run, "left")) == (run / "plant.sock", run / "left")
+    assert ring_paths("paper", "left") == (ring_in(cell, "left"), ring_in(unit, "left"))
+    assert control_paths("paper", "left") == (control_in(cell, "left"), control_in(unit, "left"))
+    assert (guard_path("paper", "left"), plant_socket_path("paper")) == (guard_in(cell, "left"), plant_socket_in(cell))
 
 
 def test_names_alone_make_nothing(session: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 import typer
 
 from agent.cli.main import whole
-from agent.host.paths import ring_path
+from agent.host.paths import SERVICES_DIR, control_in, guard_in, plant_socket_in, ring_in, ring_path
 from tests.support.systemd.unit_files import (
     CASES,
     CHOICES,
@@ -183,6 +183,20 @@ def test_agent_and_telemetry_mean_the_same_ring(
     rings = {_option(agent, "--ring"), _option(telemetry, "--ring")}
     assert rings == {str(ring_path("any", "left"))}
     assert one(agent, "RuntimeDirectoryPreserve") == "yes", "the ring is the black box"
+
+
+@pytest.mark.parametrize(("choices", "name"), CASES)
+def test_units_name_what_processes_meet_by_as_the_commands_do(
+    tmp_path: Path, choices: tuple[str, ...], name: str
+) -> None:
+    install(tmp_path, *choices)
+    left, plant = SERVICES_DIR / "left", SERVICES_DIR / "plant"
+    known = {ring_in(left, "left"), control_in(left, "left"), guard_in(left, "left")}
+    known |= {ring_in(plant, "plant"), plant_socket_in(plant)}
+    (line,) = read_unit(tmp_path, name)["ExecStart"]
+    found = {Path(word) for word in line.split() if Path(word).parent in (left, plant)}
+    assert found <= known, found - known
+    assert found or not name.startswith(("coop-agent", "coop-guard", "coop-telemetry", "coop-plant"))
 
 
 def test_plant_and_agent_mean_the_same_socket(simulated_host: Path) -> None:
