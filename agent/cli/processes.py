@@ -58,7 +58,7 @@ def emulate(
     ring: Annotated[Path | None, typer.Option(help="Ring file for the truth.")] = None,
     faults: Annotated[Path | None, typer.Option(help="Faults as JSON lines; times from the start.")] = None,
     control: Annotated[Path | None, typer.Option(help="Datagram socket that takes faults.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the faults.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the faults.")] = 0,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
     whole: Annotated[bool, typer.Option("--whole", help="Arms begin at rest, the object on a table.")] = False,
     common_start: CommonStart = None,
@@ -126,7 +126,7 @@ def record(
     network_config: NetworkConfig = None,
     driver: Annotated[DriverKind | None, typer.Option(help="What moves the arms, for the log.")] = None,
     truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the run, for the log.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the run, for the log.")] = 0,
     split_mb: Annotated[int | None, typer.Option(min=1, help="Go on in another log when one has so many MB.")] = None,
     split_s: Annotated[float | None, typer.Option(min=1.0, help="The same after so many seconds.")] = None,
     keep_mb: Annotated[

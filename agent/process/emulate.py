@@ -153,7 +153,7 @@ def run_emulate(
 def _served(
     emulated: EmulatedCell, options: ServeOptions, stop: Callable[[], bool], ready: Callable[[], None]
 ) -> Server:
-    """Serve until a stop.  Raises EmulateError, FaultError."""
+    """Serve until a stop.  Raises EmulateError, FaultError, PortTakenError."""
     try:
         return serve(emulated, options, stop, ready)
     except (OSError, UnicodeDecodeError) as error:

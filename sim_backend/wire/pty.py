@@ -9,14 +9,22 @@ import contextlib
 import errno
 import fcntl
 import os
+import re
 import struct
 import termios
 import tty
 from pathlib import Path
 
+from drivers.interface import Refusal
+
 _CHUNK = 4096
 _TCGETS2 = 0x802C542A  # the only request that tells speeds outside the standard constants (4.5 Mbit/s)
 _TERMIOS2 = struct.Struct("<4IB19s2I")
+_PTY = re.compile(r"/dev/pts/[0-9]+")
+
+
+class PortTakenError(Refusal):
+    """What has the name of an emulated port is somebody else's."""
 
 
 class PtyPort:
@@ -38,14 +46,13 @@ class PtyPort:
         return self._master
 
     def appear(self) -> None:
-        """Create the terminal and point the link to it, in the place of an earlier link.  Nothing when already there.
+        """Create the terminal and point the link to it, in the place of an earlier one's.  Nothing when already there.
 
-        Raises OSError, also where something that is no link has that name.
+        Raises PortTakenError where something else has that name, OSError.
         """
         if self.present:
             return
-        if self.link.exists() and not self.link.is_symlink():
-            raise FileExistsError(errno.EEXIST, "File exists", str(self.link))
+        self._require_free()
         # our own hold on the client's side keeps the master readable between clients
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
@@ -55,6 +62,22 @@ class PtyPort:
         fresh.unlink(missing_ok=True)
         fresh.symlink_to(os.ttyname(self._slave))
         fresh.replace(self.link)
+
+    def _require_free(self) -> None:
+        """Refuse a name that may be a real port's; a link to a pseudo terminal is what a killed emulator leaves.
+
+        Raises PortTakenError.
+        """
+        if self.link.is_symlink():
+            target = str(self.link.readlink())
+            found = "" if _PTY.fullmatch(target) else f"a link to {target}"
+        else:
+            found = "something that is no link" if self.link.exists() else ""
+        if found:
+            raise PortTakenError(
+                f"emulated port {self.link}", found=found, expected="a free name, or what an earlier emulator has left",
+                remedy="remove it, or name another folder with --ports",
+            )  # fmt: skip
 
     def vanish(self) -> None:
         """Remove link and terminal; clients that have it open get an I/O error.  Safe twice."""

@@ -142,6 +142,9 @@ OTHERS = {
     "plant --ring": ("plant", PAPER, "--socket", "socket", "--ring", "a_folder"),
     "emulate --ports a file": ("emulate", PAPER, "--ports", "a_file"),
     "emulate --ports with files": ("emulate", PAPER, "--ports", "names", "--ring", "ring"),
+    "emulate --ports with links": ("emulate", PAPER, "--ports", "links", "--ring", "ring"),
+    "emulate --seed": ("emulate", PAPER, "--ports", "ports", "--ring", "ring", "--seed", "-1"),
+    "emulate --seed text": ("emulate", PAPER, "--ports", "ports", "--ring", "ring", "--seed", "x"),
     "emulate --control": ("emulate", PAPER, "--ports", "ports", "--ring", "ring", "--control", "a_file"),
     "emulate --control nowhere": ("emulate", PAPER, "--ports", "ports", "--ring", "ring", "--control", "no/where"),
     "telemetry of an unknown arm": ("telemetry", PAPER, "--member", "middle", "--ring", "ring"),
@@ -149,6 +152,8 @@ OTHERS = {
     "record --out nowhere": ("record", PAPER, "--out", "no/where.mcap", "--listen", "tcp/127.0.0.1:0"),
     "record --out a file": ("record", PAPER, "--out", "a_file", "--listen", "tcp/127.0.0.1:0"),
     "record --listen": ("record", PAPER, "--out", "log.mcap", "--listen", "nonsense"),
+    "record --seed": ("record", PAPER, "--out", "log.mcap", "--seed", "-1"),
+    "record --seed text": ("record", PAPER, "--out", "log.mcap", "--seed", "x"),
     "record --split-mb": ("record", PAPER, "--out", "log.mcap", "--split-mb", "0"),
     "record --split-s": ("record", PAPER, "--out", "log.mcap", "--split-s", "nan"),
     "record --keep-mb": ("record", PAPER, "--out", "log.mcap", "--keep-mb", "-1"),
@@ -206,6 +211,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "binary").write_bytes(os.urandom(5000))
     (tmp_path / "names").mkdir()
     (tmp_path / "names" / "left").write_text("mine\n")
+    (tmp_path / "links").mkdir()
+    (tmp_path / "links" / "left").symlink_to("../a_file")
     return tmp_path
 
 
@@ -253,6 +260,7 @@ def test_any_other_bad_word_is_one_line(folder: Path, case: str) -> None:
     refused(*OTHERS[case])
     assert (folder / "a_file").read_text() == "something of mine\n"
     assert (folder / "names" / "left").read_text() == "mine\n"
+    assert (folder / "links" / "left").readlink() == Path("../a_file")
     assert list((folder / "a_folder").iterdir()) == []
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import struct
 import termios
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from sim_backend.wire.pty import PtyPort
+from sim_backend.wire.pty import PortTakenError, PtyPort
 
 TIOCGEXCL = 0x80045440
 
@@ -84,6 +85,35 @@ def test_link_left_by_a_killed_emulator_is_replaced(tmp_path: Path) -> None:
     assert link.is_char_device()
     port.vanish()
     assert not link.is_symlink()
+
+
+@pytest.mark.parametrize(
+    "target", ["../dev/ttyUSB0", "/dev/ttyUSB0", "/dev/pts", "/dev/pts/ptmx", "/x/dev/pts/1", "file"]
+)
+def test_a_link_that_leads_elsewhere_is_refused_and_stays(tmp_path: Path, target: str) -> None:
+    """As that to the port of a real arm; `file` is there, the others need not be."""
+    link = tmp_path / "arm"
+    (tmp_path / "file").write_text("mine")
+    link.symlink_to(target)
+    port = PtyPort(link)
+    with pytest.raises(
+        PortTakenError,
+        match=rf"^emulated port {link}: found a link to {re.escape(target)}, expected a free name, or .*--ports$",
+    ):
+        port.appear()
+    assert not port.present
+    assert link.readlink() == Path(target)
+    assert {path.name for path in tmp_path.iterdir()} == {"arm", "file"}
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_what_is_no_link_is_refused_and_stays(tmp_path: Path, kind: str) -> None:
+    name = tmp_path / "arm"
+    name.write_text("mine") if kind == "file" else name.mkdir()
+    with pytest.raises(PortTakenError, match="found something that is no link, expected a free name"):
+        PtyPort(name).appear()
+    assert list(tmp_path.iterdir()) == [name]
+    assert not name.is_symlink()
 
 
 def test_vanishing_leaves_the_link_of_a_successor_alone(tmp_path: Path) -> None:
