@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.control.memory import Memory
 from agent.control.terms import Terms
-from agent.safety import Limits
+from agent.safety import AT_BOUND, Limits
 from drivers.interface import Vector
 
 LAW, BRAKE, JOINTS = 0, 1, 2  # Memory.calm; above JOINTS: gently, for so many ticks more
@@ -22,7 +22,6 @@ BRAKE_PER_S = 30.0  # of a hold that became too fast, times the arm's inertia; l
 SEEN_TIMES = 1.3  # of the speed above which it brakes, above which it does so by the servos' own count alone
 RESUME_SHARE = 0.2  # of the speed above which it brakes, below which it holds again, by its joints
 DOUBT_SHARE = 1.0 / 3.0  # of that speed, by which the observer may believe in more than there is
-AT_BOUND = 0.999  # of the largest torque, or of its largest step
 
 
 def kept(dq: Vector, measured: Vector, memory: Memory, limits: Limits, above_rad_per_s: float) -> int:

@@ -11,6 +11,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+AT_BOUND = 0.999  # of the largest torque, or of its largest step: from there on a torque is at it
+
 
 class Flag(enum.IntFlag):
     """What happened on this tick; bits of the log field `flags`."""

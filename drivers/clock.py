@@ -1,11 +1,15 @@
-"""The clock of a real arm, CLOCK_MONOTONIC with absolute deadlines, and what it has to do with UTC."""
+"""The clock of a real arm, CLOCK_MONOTONIC with absolute deadlines, and what clocks of arms have to do with UTC."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Final
 
 READINGS = 20
+# UTC less the clock of a run in lockstep is a multiple of this, for that has no other tie to the world's; by that its
+# rows are known, since of any other clock it is so once in 10⁹ times
+LOCKSTEP_UTC_NS: Final = 1_000_000_000
 
 
 def utc_offset_ns(utc_ns: Callable[[], int] = time.time_ns, monotonic_ns: Callable[[], int] = time.monotonic_ns) -> int:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from drivers.interface import Vector
 
+DAMPING_RATIO: Final = 0.25  # of an arm that swings on its pad, where nothing else is said
 _PARTS = slice(0, 3), slice(3, 6)  # force and moment
 
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from agent.host.clock import ClockState, read_clock
 from agent.host.latency import LATE_SHARE, Fitness, Latency, files, newest
+from agent.operator.local import CLOCK_WARN_S
 from agent.verify.finding import Finding, Verdict, judged, warning
 
 WHERE = "host"
 PRIORITY = 80  # what the agent's unit grants
-CLOCK_ERROR_MAX_S = 1e-3  # between hosts at the start
 CAP_IPC_LOCK = 14
 
 
@@ -118,8 +118,8 @@ def _clock_finding(facts: HostFacts) -> Finding:
     clock = facts.clock
     return judged(
         "clock", WHERE, clock.text,
-        f"synchronised, error ≤ {CLOCK_ERROR_MAX_S * 1e3:g} ms",
-        holds=clock.synchronised and clock.max_error_s <= CLOCK_ERROR_MAX_S, otherwise=Verdict.WARNING,
+        f"synchronised, error ≤ {CLOCK_WARN_S * 1e3:g} ms",
+        holds=clock.synchronised and clock.max_error_s <= CLOCK_WARN_S, otherwise=Verdict.WARNING,
         remedy="install chrony; without effect where one host has all arms",
     )  # fmt: skip
 

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from greenlet import getcurrent, greenlet
 
+from drivers.clock import LOCKSTEP_UTC_NS
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
 from drivers.interface import Clock
 from sim_backend.wire.arm import EmulatedArm
@@ -19,7 +20,7 @@ from sim_backend.wire.bus import Bus
 from sim_backend.wire.injector import Injector
 
 STEP_NS = 1_000_000  # in which time passes, so that watchdogs and faults can follow
-UTC_OFFSET_NS = 500_000_000  # no whole second, by which `agent.log.when` knows time that waits for every arm
+UTC_OFFSET_NS = LOCKSTEP_UTC_NS // 2  # by which nobody takes it for time that waits for every arm
 
 
 class Advancing(Protocol):

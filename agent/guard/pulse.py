@@ -10,7 +10,8 @@ from typing import Self
 from agent.guard.vigil import Vigil
 
 STALE_NS = 200_000_000  # without a look, after which the guard hangs; a hundred of its looks
-SHARED_STALE_NS = 500_000_000  # where everything shares a processor
+SHARED_S = 0.5  # for so long what shares a processor with everything else is borne: it stops with that for a while
+SHARED_STALE_NS = round(SHARED_S * 1e9)
 STALE_PERIODS = 3  # at least, of a slow loop
 _BYTES = 8
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from agent.around import Beginning, Schedule
 from agent.cycles import Patience
+from agent.guard.pulse import SHARED_STALE_NS
 from agent.guard.resume import beginning, from_torque, last_speed
 from agent.guard.vigil import Vigil
 from agent.loop import Agent
@@ -22,7 +23,7 @@ GAP_PERIODS = Patience.gap  # as the loop has it for itself
 STALE_PERIODS = 3  # at least, of a slow loop
 EMULATED_STALE_NS = 150_000_000  # where everything shares a processor; before the servos' own watchdog all the same
 FLOATING_STALE_NS = 100_000_000  # its last torque is its weight's, and a hand is on it
-EMULATED_FLOATING_STALE_NS = 500_000_000  # nothing can fall, and its loop bears a line that is silent for as long
+EMULATED_FLOATING_STALE_NS = SHARED_STALE_NS  # nothing can fall, and its loop bears a line that is silent for as long
 FIRST_NS = 100_000_000  # for its first row: until then its goals are zero; before the servos' watchdog
 FLOATING_FIRST_NS = 500_000_000  # nothing of it holds the arm yet, and its hand waits
 SIMULATED_STALE_NS = 500_000_000  # where there is no such watchdog

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from agent.log.columns import Table
 from agent.telemetry.row.event import Event
+from drivers.clock import LOCKSTEP_UTC_NS
 
 SAME_CLOCK_NS: Final = 5_000_000_000  # stamps whose UTC is further apart are of different clocks
-SECOND_NS: Final = 1_000_000_000
 STARTED_S: Final = -43_200.0  # rows of an arm that nobody has started count towards a start a day ahead
 
 
@@ -62,7 +62,7 @@ def in_lockstep(members: Iterable[Table]) -> bool:
 
     Their clocks begin at a whole second of UTC then, and may differ by what the simulation makes them differ.
     """
-    return all(len(rows) > 0 and not ((rows["utc_ns"] - rows["stamp_ns"]) % SECOND_NS).any() for rows in members)
+    return all(len(rows) > 0 and not ((rows["utc_ns"] - rows["stamp_ns"]) % LOCKSTEP_UTC_NS).any() for rows in members)
 
 
 def by_one_clock(arms: Mapping[str, Table]) -> dict[str, Table]:

@@ -12,7 +12,7 @@ from agent.host.paths import control_paths
 from agent.operator.error import ControlError
 
 Places = Mapping[str, Iterable[Path]]  # of each arm: where its agent may listen
-CLOCK_WARN_S = 1e-3  # 0.1 mm at 0.1 m/s
+CLOCK_WARN_S = 1e-3  # of a start on several hosts: 0.1 mm at 0.1 m/s
 CLOCK_MAX_S = 5e-3
 
 

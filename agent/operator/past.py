@@ -21,9 +21,9 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import GRIP, Health
 from agent.telemetry.row.sample import AGENT_STATE, BUS_COUNTERS
 from agent.telemetry.row.topics import Kind
+from drivers.clock import LOCKSTEP_UTC_NS
 
 OVER_S = 2.0
-SECOND_NS = 1_000_000_000
 ROWS_MAX = 2000
 _STALE = int(Flag.STALE)
 
@@ -61,7 +61,7 @@ class Past:
         if not len(self.rows):
             return None
         stamp_ns, row_utc_ns = (int(self.rows[name][-1]) for name in ("stamp_ns", "utc_ns"))
-        in_lockstep = (row_utc_ns - stamp_ns) % SECOND_NS == 0
+        in_lockstep = (row_utc_ns - stamp_ns) % LOCKSTEP_UTC_NS == 0
         age_ns = monotonic_ns - stamp_ns if self.written_by_the_living and not in_lockstep else utc_ns - row_utc_ns
         return max(0.0, 1e-9 * age_ns)
 

@@ -14,6 +14,7 @@ from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.guard.guarded import Guarded
 from agent.guard.line import GuardError
+from agent.guard.pulse import SHARED_S
 from agent.process.rehearse import bridge, in_the_loop
 from agent.telemetry.ring.writer import RingWriter
 from drivers.clock import MonotonicClock
@@ -46,7 +47,6 @@ __all__ = [
 
 Standby = StandbyDriver | SimStandby
 EMULATED_READ_SHARE = 4.0
-EMULATED_PATIENCE_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _borrowed(guard: Guarded) -> int:
 
 def patient(servos: ArmMap, connection: Connection) -> ArmMap:
     """The same; emulated servos share the processor with everything else, and stop with it for a while."""
-    cycles = round(EMULATED_PATIENCE_S * servos.rate_hz) if connection.emulated else 0
+    cycles = round(SHARED_S * servos.rate_hz) if connection.emulated else 0
     return replace(servos, line_patience_cycles=cycles)
 
 

@@ -21,13 +21,11 @@ from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
-from drivers.clock import MonotonicClock
+from drivers.clock import LOCKSTEP_UTC_NS, MonotonicClock
 from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.plant import Observation
 from sim_backend.served.options import LostArm, ServerOptions
 from sim_backend.served.server import serve
-
-SECOND_NS = 1_000_000_000
 
 
 def run_plant(
@@ -87,8 +85,8 @@ def run_plant(
 
 
 def _utc_at_zero_ns() -> int:
-    """UTC at tick 0 of a lockstep run: the last whole second, since its clock has no other tie to the world's."""
-    return time.time_ns() // SECOND_NS * SECOND_NS
+    """UTC at tick 0 of a lockstep run: the last whole second."""
+    return time.time_ns() // LOCKSTEP_UTC_NS * LOCKSTEP_UTC_NS
 
 
 class TruthLog(Protocol):

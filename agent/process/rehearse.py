@@ -13,6 +13,7 @@ from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
 from agent.control.models import ArmModel
+from agent.guard.pulse import SHARED_S
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, Vector
@@ -23,7 +24,6 @@ from sim_backend.hil.guest import Twin
 from sim_backend.hil.touch import Borne
 
 FLAT = 1e-3  # of the largest singular value: a direction in which joints feel no force
-EMULATED_STALE_S = 0.5  # what is emulated shares the processor with everything else, and stops with it
 
 
 def in_the_loop(cell: CellFiles, arm: str) -> bool:
@@ -136,7 +136,7 @@ def bridge(cell: Cell, arm: Arm, real: Driver, twin: Twin, clock: Clock, *, emul
         apart_max_rad=hil.apart_max_rad,
         touch=Borne(hil.touch_max_N, hil.touch_max_s),
     )
-    patience = Patience(EMULATED_STALE_S if emulated else FRESH_CYCLES * period_s, WATCHDOG_S)
+    patience = Patience(SHARED_S if emulated else FRESH_CYCLES * period_s, WATCHDOG_S)
     model = cell.model(arm)
     weight = cell.file.object.mass_kg * -cell.gravity
     carried = Carried(

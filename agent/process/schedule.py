@@ -11,9 +11,9 @@ from agent.around import Schedule
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
 from agent.cycles import Patience
-from agent.guard.pulse import pulse_vigil
+from agent.guard.pulse import SHARED_S, pulse_vigil
 from agent.guard.vigil import Vigil
-from agent.process.build import EMULATED_PATIENCE_S, Connection
+from agent.process.build import Connection
 from drivers.dynamixel.arm_map import WATCHDOG_S
 
 QUIET_MARGIN_S = 0.05  # on the servos' watchdogs, which count in steps of 20 ms
@@ -64,7 +64,7 @@ def patience_of(cell: Cell, *, emulated: bool) -> Patience:
     held, silent and late after half a second only, at any share of good cycles.
     """
     safety, rate_hz = cell.file.safety, cell.file.rate_hz
-    patient = round(EMULATED_PATIENCE_S * rate_hz)
+    patient = round(SHARED_S * rate_hz)
     usual = Patience(
         blind=max(1, round(safety.blind_s * rate_hz)),
         quiet=round((WATCHDOG_S + QUIET_MARGIN_S) * rate_hz),

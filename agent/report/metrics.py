@@ -27,7 +27,7 @@ from agent.report.results import (
 )
 from agent.report.series import Array, column, component, grasp_force, joint_columns, largest_force, missing_ranges
 from agent.report.together import largest
-from agent.safety import Flag
+from agent.safety import AT_BOUND, Flag
 from agent.telemetry.row.sample import BUS_COUNTERS
 from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 LATE_PERIODS: Final = 1.0  # a cycle that begins later than this many periods is late, as agent.runner counts them
 LIMITED_Nm: Final = 1e-9  # safety changed a torque when it differs from the command by more than rounding
-AT_LIMIT_FRACTION: Final = 0.999  # of tau_max: a torque above it is at its limit
 
 
 def summarise(log: AnyLog) -> Results:
@@ -150,7 +149,7 @@ def _joint(arm: RunArm, j: int, whole: Table, rows: Table, period_s: float) -> J
         rms_torque_Nm=rms(law),
         rms_of_continuous=rms(law) / (CONTINUOUS_SHARE * arm.tau_stall_Nm[j]),
         limited_s=float(np.sum(np.abs(limited - cmd) > LIMITED_Nm) * period_s),
-        at_limit_s=float(np.sum(np.abs(sent) >= AT_LIMIT_FRACTION * arm.tau_max_Nm[j]) * period_s),
+        at_limit_s=float(np.sum(np.abs(sent) >= AT_BOUND * arm.tau_max_Nm[j]) * period_s),
         chatter_Nm=mean(np.where(consecutive, np.abs(np.diff(law)), NAN)),
         tau_max_Nm=arm.tau_max_Nm[j],
         tau_stall_Nm=arm.tau_stall_Nm[j],

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from drivers.interface import Refusal, Vector
+from drivers.pads import DAMPING_RATIO
 from drivers.substeps import BAUMGARTE_D_PER_S, LONGEST_S, MAX_BAUMGARTE_STEP, damps
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.calendar import Opening, Push
@@ -176,7 +177,7 @@ class GraspSpec:
 
     stiffness_N_per_m: float
     stiffness_Nm_per_rad: float
-    damping_ratio: float = 0.25  # of the arm that swings on its pad
+    damping_ratio: float = DAMPING_RATIO  # of the arm that swings on its pad
     slip_N: float | None = None
     slip_Nm: float | None = None
     open_m: float | None = None

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent import safety
-from agent.safety import Flag, Limits, limit
+from agent.safety import AT_BOUND, Flag, Limits, limit
 from tests.support.control.strategies import examples
 
 INF, NAN = math.inf, math.nan
@@ -152,3 +152,8 @@ def test_flags_are_the_bits_that_logs_hold() -> None:
 
 def test_the_file_stays_small() -> None:
     assert len(inspect.getsource(safety).splitlines()) <= 80
+
+
+def test_a_torque_counts_as_at_its_bound_from_so_close_on() -> None:
+    """For a hold that must brake, and for the report; what servos round is less."""
+    assert AT_BOUND == 0.999

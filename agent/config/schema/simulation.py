@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from agent.config.schema.reality import Reality
 from agent.config.schema.types import AS_LIST, Effort, Instant, Length, Name, Smoothing, Strict, wrong
+from drivers.pads import DAMPING_RATIO
 from drivers.substeps import fewest_substeps, is_short_enough, substep_s
 
 
@@ -46,7 +47,7 @@ class Grasp(Strict):
     """Stiffness of finger pads."""
     stiffness_Nm_per_rad: Annotated[float, Field(ge=0.01, le=1e6)]
     """The same in rotation."""
-    damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25
+    damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = DAMPING_RATIO
     """Of an arm that swings on its pad."""
     slip_N: Annotated[float, Field(gt=0.0, le=1e4)] | None = None
     """The pads slip above this force; none: never."""

@@ -111,6 +111,13 @@ def test_time_at_and_beyond_the_limit() -> None:
     assert shoulder.at_limit_s == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize(("share", "at_limit_s"), [(0.9991, 2.0), (0.9989, 0.0)])
+def test_a_torque_is_at_its_limit_but_for_the_rounding_of_servos(share: float, at_limit_s: float) -> None:
+    log = small_run()
+    log.agents["left"]["tau_sent"][:, 0] = share * 3.0
+    assert summarise(log).arms["left"].joints["shoulder"].at_limit_s == pytest.approx(at_limit_s)
+
+
 def test_flags_are_counted_by_name() -> None:
     log = small_run()
     log.agents["left"]["flags"][:7] = Flag.SATURATED | Flag.STALE
