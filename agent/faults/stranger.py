@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import zenoh
 
 from agent.config.cell import Cell
 from agent.telemetry.link.session import Network, Role, open_session
@@ -60,10 +59,9 @@ def send(endpoint: str, cell: str, messages: Iterator[Message]) -> int:
     """Connect to the recorder and send; returns how many once it has them all, or is silent.  Raises NetworkError."""
     sent = 0
     with open_session(Network(connect=(endpoint,), role=Role.VIEWER)) as opened:
-        session = opened.session
         for key, payload, attachment in messages:
-            session.put(key, payload, attachment=attachment, congestion_control=zenoh.CongestionControl.BLOCK)
+            opened.put(key, payload, attachment)
             sent += 1
-        for _ in session.get(status_key(cell), timeout=HEARD_TIMEOUT_S):  # behind them, on the same link
+        for _ in opened.session.get(status_key(cell), timeout=HEARD_TIMEOUT_S):  # behind them, on the same link
             pass
     return sent

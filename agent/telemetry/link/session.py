@@ -100,6 +100,10 @@ class OpenSession:
     session: zenoh.Session
     endpoint: str | None  # None: it listens nowhere, or where its file says
 
+    def put(self, key: str, payload: bytes, attachment: bytes | None) -> None:
+        """Send it under this key, and wait where there is no room on the way: nothing is dropped."""
+        self.session.put(key, payload, attachment=attachment, congestion_control=zenoh.CongestionControl.BLOCK)
+
 
 def require_endpoint(listen: str) -> None:
     """Raise EndpointError for what is no place to listen at, whether it is free or not."""

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
+import zenoh
 
 from agent.config.cell import Cell, load_cell
+from agent.faults import stranger
 from agent.faults.stranger import BURST, ALTERED_Nm, forged_messages, random_messages
 from agent.telemetry.link.intake import Intake, Rejection
+from agent.telemetry.link.session import Network, OpenSession, Role
 from agent.telemetry.link.wire import HEADER_BYTES
 from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN
 
@@ -58,3 +65,21 @@ def test_forged_rows_look_right_and_are_left_out_for_the_files_alone(cell: Cell)
     own = np.frombuffer(rows(cell), AGENT_STATE.dtype)
     assert (taken.rows["sequence"] == own["sequence"]).all()  # type: ignore[union-attr]
     assert (taken.rows["tau_limited"] == own["tau_limited"] + ALTERED_Nm).all()  # type: ignore[union-attr]
+
+
+def test_each_is_sent_in_order_and_none_is_dropped_on_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    session: Any = Mock(get=Mock(return_value=["what the recorder has"]))
+
+    @contextmanager
+    def open_session(network: Network) -> Iterator[OpenSession]:
+        assert network == Network(connect=("tcp/127.0.0.1:9",), role=Role.VIEWER)
+        yield OpenSession(session, None)
+
+    monkeypatch.setattr(stranger, "open_session", open_session)
+    messages = [("coop/paper/left/state", b"rows", b"header"), ("coop/paper/left/command", b"word", None)]
+    assert stranger.send("tcp/127.0.0.1:9", "paper", iter(messages)) == 2
+    block = zenoh.CongestionControl.BLOCK
+    assert session.method_calls == [
+        *(call.put(key, data, attachment=header, congestion_control=block) for key, data, header in messages),
+        call.get("coop/paper/recorder/status", timeout=stranger.HEARD_TIMEOUT_S),
+    ]
