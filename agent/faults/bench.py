@@ -26,9 +26,9 @@ from agent.faults.virtual import Advancing, Line, Plug, SharedClock, VirtualPort
 from agent.loop import Agent
 from agent.modes import Event, Mode
 from agent.monitors.watch import Watch
-from agent.process.build import Connection, build_agent
+from agent.process.build import build_agent
 from agent.process.emulate import wiring
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.schedule import schedule_of
 from agent.process.simulated import plant_spec
 from agent.runner import Runner
 from agent.study.fault import SEIZED_Nms_RAD
@@ -239,8 +239,7 @@ class Bench:
             trouble=lambda text: run.troubles.append((self._t(), text)),
         )
         kind = DriverKind.DYNAMIXEL if arm.name in self._place else DriverKind.SIM
-        options: Any = AgentOptions(arm.name, kind, Connection(), None, None, False, False)  # type: ignore[arg-type]
-        schedule = schedule_of(self.cell, options)
+        schedule = schedule_of(self.cell, hold=False, shared=kind is DriverKind.SIM)
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
         watch = Watch(monitors.bounds(self.cell, arm), lambda text: run.warnings.append((self._t(), text)))
         sink = self._sink(run.log, row, driver)

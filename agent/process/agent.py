@@ -34,9 +34,10 @@ from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import build_agent, build_driver, passed_on, wait_no_longer
 from agent.process.clocked import ClockWatch, shares_time
+from agent.process.commands import AgentOptions
 from agent.process.operated import IN_LOCKSTEP, Operator, no_real_time, tick_of
 from agent.process.rehearse import BridgedRows, in_the_loop
-from agent.process.schedule import AgentOptions, guard_vigil, schedule_of
+from agent.process.schedule import guard_vigil, schedule_of
 from agent.process.session import session_loop
 from agent.process.tellers import Heart, ServoTeller, SetClock, Teller, opened
 from agent.process.unbegun import Unbegun
@@ -96,7 +97,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         if guard is None and not options.lockstep:
             tell.event(Level.WARN, UNGUARDED)
         q_start = rest_joints(arm) if options.whole else report.q_start[cell.arms.index(arm)]
-        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn, guard)
+        driver, clock = build_driver(cell, arm, options.driver, options, q_start, tell.warn, guard)
         try:
             info = driver.connect()
             tell.clock = clock  # from here on it has the run's time
@@ -126,7 +127,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if guard is not None:
                 fds, told = passed_on(driver)
                 guard.watch(
-                    (ring.fileno(), texts.fileno(), *fds), tell.event, guard_vigil(cell, options),
+                    (ring.fileno(), texts.fileno(), *fds), tell.event, guard_vigil(cell, shared=options.shared),
                     ring=str(options.ring), driver=told, session=options.whole,
                 )  # fmt: skip
             servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
@@ -157,7 +158,7 @@ def _reached(cell: Cell, options: AgentOptions, stop: StopFlag, control: Control
 
     Raises GuardError where nobody listens in time, Unbegun where the agent was to end meanwhile.
     """
-    deadline_s = time.monotonic() + options.wait_s
+    deadline_s = time.monotonic() + options.wait
 
     def waits() -> bool:
         Unbegun.check(options.arm, stop, control)
@@ -167,7 +168,7 @@ def _reached(cell: Cell, options: AgentOptions, stop: StopFlag, control: Control
         return True
 
     guard = _guard(options.guard, cell.fingerprint, waits) if options.guard is not None else None
-    plant = options.connection.plant_socket
+    plant = options.plant_socket
     if plant is not None and (options.driver is DriverKind.SIM or in_the_loop(cell, options.arm)):
         while not plant.is_socket() and waits():
             pass  # who connects is told why it cannot
@@ -207,8 +208,7 @@ def _runner(
     notifier: Notifier, guard: Guarded | None, servos: ServoTeller, tell: Teller, standing: Standing,
 ) -> Runner:  # fmt: skip
     """The loop of the arm on its enabled driver."""
-    arm = cell.arm(options.arm)
-    heart = Heart(notifier, cell.file.rate_hz)
+    arm, heart = cell.arm(options.arm), Heart(notifier, cell.file.rate_hz)
     wall = None  # a simulated clock is its own
     if options.driver is DriverKind.DYNAMIXEL:
         wall = SetClock(tell, clock, cell.file.rate_hz, utc_offset_ns)
@@ -246,7 +246,7 @@ def _runner(
     if law.session is not None:
         standing.session = law.session.not_yet
     sink = BridgedRows(ring, row, driver, tell.warn) if isinstance(driver, BridgeDriver) else ring
-    schedule = schedule_of(cell, options)
+    schedule = schedule_of(cell, hold=options.hold, shared=options.shared, lockstep=options.lockstep)
     return Runner(law.agent, driver, clock, schedule, row, sink, around, law.watch, session=law.session)
 
 
@@ -271,7 +271,7 @@ def _stand(
             Level.INFO, f"real time: {real.text}; latency: {fitness}", policy=real.policy, priority=real.priority,
             locked_bytes=real.locked_bytes, **({"latency_max_s": tested.histogram.max_s} if tested else {}),
         )  # fmt: skip
-    punctual = real.real or options.connection.emulated or options.no_realtime
+    punctual = real.real or options.emulated or options.allow_no_realtime
     if options.lockstep:
         standing.no_start = IN_LOCKSTEP
     elif options.driver is DriverKind.DYNAMIXEL and not punctual:
@@ -295,6 +295,6 @@ def _stand(
     standing.details = details
     if guard is not None:
         standing.alone = lambda: guard.missing
-    if options.driver is DriverKind.DYNAMIXEL and not options.connection.emulated:
+    if options.driver is DriverKind.DYNAMIXEL and not options.emulated:
         standing.rest_s = REST_S + (cell.file.session.take_up_s if cell.file.session else 0.0)
     standing.enter(Mode.READY)

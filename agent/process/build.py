@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from agent.config.servo_map import arm_map
 from agent.guard.guarded import Guarded
 from agent.guard.line import GuardError
 from agent.guard.pulse import SHARED_S
+from agent.process.commands import Connection, ServoLine
 from agent.process.rehearse import bridge, in_the_loop
 from agent.telemetry.ring.writer import RingWriter
 from drivers.clock import MonotonicClock
@@ -47,16 +48,6 @@ __all__ = [
 
 Standby = StandbyDriver | SimStandby
 EMULATED_READ_SHARE = 4.0
-
-
-@dataclass(frozen=True)
-class Connection:
-    """How an agent reaches its arm, and how its clock stands to UTC."""
-
-    plant_socket: Path | None = None  # simulated driver, and the twin of an arm in the loop
-    port: str | None = None  # Dynamixel driver; None: the port of the cell file
-    emulated: bool = False  # the servos on that port are emulated: nothing can fall
-    utc_offset_ns: int | None = None  # UTC minus CLOCK_MONOTONIC as the run has found it; None: as it is now
 
 
 def build_driver(
@@ -96,13 +87,13 @@ def build_driver(
 
 
 def servo_driver(
-    servos: ArmMap, connection: Connection, clock: Clock, warn: Callable[[str], None], guard: Guarded | None
+    servos: ArmMap, line: ServoLine, clock: Clock, warn: Callable[[str], None], guard: Guarded | None
 ) -> DynamixelDriver:
     """Driver of these servos, real or emulated; arguments as of `build_driver`."""
-    servos = patient(servos, connection)
+    servos = patient(servos, line)
     port = SerialPort(servos.port, servos.baud, clock, partial(_borrowed, guard) if guard else None)
     # emulated servos share the processor with everything else: a slow read there says nothing of a bus
-    share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
+    share = EMULATED_READ_SHARE if line.emulated else READ_SHARE
     return DynamixelDriver(servos, clock, on_event=in_words(warn), read_share=share, port=port)
 
 
@@ -117,9 +108,9 @@ def _borrowed(guard: Guarded) -> int:
         raise PortError(error.what, found=error.found, expected=error.expected, remedy=error.remedy) from error
 
 
-def patient(servos: ArmMap, connection: Connection) -> ArmMap:
+def patient(servos: ArmMap, line: ServoLine) -> ArmMap:
     """The same; emulated servos share the processor with everything else, and stop with it for a while."""
-    cycles = round(SHARED_S * servos.rate_hz) if connection.emulated else 0
+    cycles = round(SHARED_S * servos.rate_hz) if line.emulated else 0
     return replace(servos, line_patience_cycles=cycles)
 
 
@@ -151,7 +142,7 @@ def passed_on(driver: Driver) -> tuple[tuple[int, ...], dict[str, Any]]:
 def build_standby(
     cell: Cell,
     arm: Arm,
-    connection: Connection,
+    line: ServoLine,
     port: SerialPort | None,
     q_start: Vector,
     warn: Callable[[str], None],
@@ -163,19 +154,18 @@ def build_standby(
     Raises AdoptError.
     """
     if port is None:
-        path = connection.plant_socket or Path()
-        sim = SimStandby(path, arm.name, tuple(arm.entry.controlled), cell.config_id)
+        sim = SimStandby(Path(), arm.name, tuple(arm.entry.controlled), cell.config_id)
         sim.prepare(told["plant"], fds[0])
         return sim
-    servos = patient(arm_map(cell, arm, port.path, q_start), connection)
+    servos = patient(arm_map(cell, arm, port.path, q_start), line)
     driver = StandbyDriver(servos, MonotonicClock(), on_event=in_words(warn), port=port)
     driver.prepare(Handover(tuple(told["servos"])))
     return driver
 
 
-def port_of(arm: Arm, connection: Connection) -> str:
+def port_of(arm: Arm, line: ServoLine) -> str:
     """Path of the arm's serial port.  Raises ConnectError where neither cell nor command line names one."""
-    port = connection.port or (arm.entry.dynamixel.port if arm.entry.dynamixel is not None else None)
+    port = line.port or (arm.entry.dynamixel.port if arm.entry.dynamixel is not None else None)
     if port is None:
         raise ConnectError(
             f"port of arm {arm.name}", found="none in the cell file", expected="dynamixel = { port = ... }",

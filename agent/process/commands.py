@@ -1,7 +1,8 @@
 """The processes of a cell as typed commands; each renders its own command line, and is read from it again.
 
 A field has the name of the command's parameter in `agent.cli.arms` or `agent.cli.processes`; a test parses every one
-with that parser.
+with that parser.  What an agent and a guard are run with is their command, with what it leaves open said by cell and
+host.
 """
 
 from __future__ import annotations
@@ -89,43 +90,82 @@ class EmulateCommand(ChildCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AgentCommand(ChildCommand):
-    """`coop agent`: one arm, on the plant or on a port of servos."""
+class ServoLine:
+    """How the servos of an arm are reached."""
 
-    verb: ClassVar[str] = "agent"
-    arm: str
-    ring: Path | None
-    control: Path | None
-    driver: DriverKind | None
-    plant_socket: Path | None = None
-    port: str | None = None
-    emulated: bool = False
-    real_time: bool = False
-    whole: bool = False
-    hold: bool | None = None  # at a stop and at the end; None: by what the arm is
-    guard: Path | None = None
-    gripper_empty: bool = False
-    gripper_word: Path | None = None
-    priority: int | None = None
-    allow_no_realtime: bool = False
-    wait: float = 0.0  # s, for guard and plant
+    port: str | None = None  # None: that of the cell file
+    emulated: bool = False  # the servos on that port are emulated: nothing can fall
+
+
+@dataclass(frozen=True, kw_only=True)
+class Connection(ServoLine):
+    """How an agent reaches its arm, and how its clock stands to UTC."""
+
+    plant_socket: Path | None = None  # simulated driver, and the twin of an arm in the loop
     utc_offset_ns: int | None = None  # as of PlantCommand
 
 
 @dataclass(frozen=True, kw_only=True)
-class GuardCommand(ChildCommand):
+class ArmCommand(ChildCommand, ServoLine):
+    """What agent and guard of an arm are both given."""
+
+    arm: str
+    control: Path | None
+    driver: DriverKind | None = None  # None: the cell's
+    hold: bool | None = None  # at a stop and at the end; None: by what the arm is
+    priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
+
+    @property
+    def shared(self) -> bool:
+        """Whether what moves the arm has its time of this host, once it is said what that is."""
+        return self.driver is DriverKind.SIM or self.emulated
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgentCommand(ArmCommand, Connection):
+    """`coop agent`: one arm, on the plant or on a port of servos."""
+
+    verb: ClassVar[str] = "agent"
+    ring: Path | None
+    real_time: bool = False
+    whole: bool = False  # it begins at its rest, and is told word by word
+    guard: Path | None = None  # socket of the arm's guard; None: nobody goes on when this process cannot
+    gripper_empty: bool = False
+    gripper_word: Path | None = None
+    allow_no_realtime: bool = False  # a real arm may be started without real time
+    wait: float = 0.0  # s, for guard and plant, where they start beside it
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgentOptions(AgentCommand):
+    """The command once cell and host have said what it leaves open; without a control socket nobody says a word."""
+
+    driver: DriverKind = field()
+    hold: bool = field()
+    ring: Path
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether time waits for this arm."""
+        return self.driver is DriverKind.SIM and not self.real_time
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuardCommand(ArmCommand):
     """`coop guard`: goes on when the agent of a real arm cannot."""
 
     verb: ClassVar[str] = "guard"
-    arm: str
     socket: Path | None
-    control: Path | None
-    post_mortem: Path
-    driver: DriverKind | None = None  # None: the cell's
-    port: str | None = None
-    hold: bool | None = None
-    emulated: bool = False
-    priority: int | None = None
+    post_mortem: Path  # folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuardOptions(GuardCommand):
+    """The command once cell and host have said what it leaves open."""
+
+    driver: DriverKind = field()
+    hold: bool = field()
+    socket: Path
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ from agent.modes import Event, Mode
 from agent.monitors.bounds import Bounds
 from agent.monitors.watch import Watch as Monitors
 from agent.process.build import build_agent
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.schedule import schedule_of
 from agent.process.tellers import Heart, ServoTeller, Teller
 from agent.runner import Runner
 from agent.telemetry.ring.texts import TextWriter
@@ -154,7 +154,6 @@ class FloatLoop:
     def __init__(
         self,
         floats: Floats,
-        options: AgentOptions,
         driver: DynamixelDriver,
         clock: Clock,
         ring: RingWriter,
@@ -162,10 +161,12 @@ class FloatLoop:
         tell: Teller,
         texts: TextWriter,
         notifier: Notifier,
+        *,
+        shared: bool,
         agent: Agent | None = None,
         told: Told | None = None,
     ) -> None:
-        """agent: of this arm, where somebody has built it already; told: of one that moves."""
+        """shared: as of `schedule_of`; agent: of this arm, where it is built already; told: of one that moves."""
         cell, arm = floats.cell, floats.arm
         self._tell, self._ring, self._driver, self._clock = tell, ring, driver, clock
         self._agent = agent or build_agent(cell, arm)
@@ -173,7 +174,7 @@ class FloatLoop:
         self._ending = Ending(stop, tell, clock.now_ns, self._agent.floating.sink_s, cell.period_ns * 1e-9)
         self._row = AgentRow(ring.row, arm.n, cell.config_id)
         self._begins = Event.ENABLED if floats.moves else Event.FLOATED
-        schedule = replace(schedule_of(cell, options), hold_at_end=True)
+        schedule = schedule_of(cell, hold=True, shared=shared)
         self.schedule = schedule if floats.moves else replace(schedule, ticks=ENDLESS)
         self._told = told
         self._monitors = Monitors(floats.bounds, self._ending.warn)

@@ -13,7 +13,7 @@ from agent.loop import Agent
 from agent.process.agent import ArmLost
 from agent.process.build import Standby
 from agent.process.float_loop import FloatLoop, Floats
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.schedule import schedule_of
 from agent.process.tellers import Teller
 from agent.telemetry.row.event import Level
 from drivers.dynamixel.standby import StandbyDriver
@@ -23,9 +23,10 @@ from drivers.interface import Refusal
 class FloatSuccessor:
     """Whoever lets one arm down after the process that let it float."""
 
-    def __init__(self, cell: Cell, arm: Arm, agent: Agent, options: AgentOptions, notifier: Notifier) -> None:
+    def __init__(self, cell: Cell, arm: Arm, agent: Agent, notifier: Notifier, *, shared: bool) -> None:
+        """shared: as of `schedule_of`."""
         self._floats = Floats.of(cell, arm.name)
-        self._agent, self._options, self._notifier = agent, options, notifier
+        self._agent, self._notifier, self._shared = agent, notifier, shared
         self._tell: Teller | None = None
 
     def warn(self, text: str) -> None:
@@ -51,15 +52,16 @@ class FloatSuccessor:
             stack.callback(watched.writer.finish)
             tell.event(Level.ERROR, f"{reason}: the guard lets the arm down")
             try:
-                begun = go_on(self._agent, driver, clock, rows, schedule_of(cell, self._options), reason)
+                schedule = schedule_of(cell, hold=True, shared=self._shared)
+                begun = go_on(self._agent, driver, clock, rows, schedule, reason)
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise
             stack.callback(driver.close)
             stack.callback(driver.disable)
             loop = FloatLoop(
-                self._floats, self._options, driver, clock, watched.writer, _never, tell, watched.texts,
-                self._notifier, self._agent,
+                self._floats, driver, clock, watched.writer, _never, tell, watched.texts, self._notifier,
+                shared=self._shared, agent=self._agent,
             )  # fmt: skip
             summary = loop.run(begun)
         self._notifier.stopping("torque off")

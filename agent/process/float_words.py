@@ -13,8 +13,8 @@ from agent.host.signals import StopFlag
 from agent.modes import Event, Mode
 from agent.monitors.gravity import REST_S
 from agent.operator.socket import ControlSocket, Standing
+from agent.process.commands import AgentOptions
 from agent.process.operated import Operator, no_real_time
-from agent.process.schedule import AgentOptions
 from agent.process.tellers import Teller
 from drivers.interface import Clock
 
@@ -29,8 +29,8 @@ class Words:
         self._standing = Standing(options.arm)
         self.control = ControlSocket(path, cell.fingerprint, self._standing)
         self._operator = Operator(stop, self.control, clock, tell.event, drops_on_stop=False)
-        self._real = not options.connection.emulated
-        self._accepts_late = options.no_realtime
+        self._real = not options.emulated
+        self._accepts_late = options.allow_no_realtime
 
     def stops(self) -> bool:
         """Whether it is to stop, asked in every cycle until it does."""

@@ -22,9 +22,10 @@ from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
 from agent.process.agent import ArmLost
 from agent.process.build import passed_on, port_of, servo_driver
+from agent.process.commands import AgentOptions
 from agent.process.float_loop import FloatError, FloatLoop, Floats
 from agent.process.float_words import Words
-from agent.process.schedule import AgentOptions, guard_vigil
+from agent.process.schedule import guard_vigil
 from agent.process.tellers import Teller, opened
 from agent.process.unbegun import Unbegun
 from agent.telemetry.row.event import Level
@@ -49,17 +50,19 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         guard = Guarded(options.guard, cell.fingerprint) if options.guard else None
         if guard is None:
             tell.event(Level.WARN, UNGUARDED)
-        clock = MonotonicClock(options.connection.utc_offset_ns)
-        servos = floats.servos(port_of(arm, options.connection))
+        clock = MonotonicClock(options.utc_offset_ns)
+        servos = floats.servos(port_of(arm, options))
         words = _words(floats, options, stop, clock, tell, stack)
-        driver = servo_driver(servos, options.connection, clock, tell.warn, guard)
+        driver = servo_driver(servos, options, clock, tell.warn, guard)
         try:
             info = driver.connect()
             tell.clock = clock
             require_within(floats, driver)
             # before the torque: from then on the servos' watchdogs run
             stops = partial(_stops, stop if words is None else words.stops, guard)
-            loop = FloatLoop(floats, options, driver, clock, ring, stops, tell, texts, notifier, told=words)
+            loop = FloatLoop(
+                floats, driver, clock, ring, stops, tell, texts, notifier, shared=options.shared, told=words
+            )
             quiet_memory()
             if options.priority is not None:
                 become_realtime(options.priority)
@@ -73,8 +76,8 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 words.ready()
             if guard is not None:
                 fds, told = passed_on(driver)
-                watched = ring.fileno(), texts.fileno(), *fds
-                guard.watch(watched, tell.event, guard_vigil(cell, options), ring=str(options.ring), driver=told)
+                watched, vigil = (ring.fileno(), texts.fileno(), *fds), guard_vigil(cell, shared=options.shared)
+                guard.watch(watched, tell.event, vigil, ring=str(options.ring), driver=told)
             ready(pairs(torque="on"))
             summary = loop.run()
         except Refusal as error:

@@ -31,8 +31,9 @@ from agent.host.realtime import become_realtime, leave_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.process.build import Standby, build_agent, build_standby, port_of
+from agent.process.commands import GuardOptions
 from agent.process.float_successor import FloatSuccessor
-from agent.process.successor import HANDED_OVER, GuardOptions, Successor
+from agent.process.successor import HANDED_OVER, Successor
 from agent.process.tellers import HEARTBEAT_S
 from agent.verify.check import examine
 from drivers.clock import MonotonicClock
@@ -79,16 +80,16 @@ class _Guard:
     def __init__(self, cell: Cell, options: GuardOptions, stop: StopFlag, stack: ExitStack) -> None:
         stack.callback(leave_realtime)
         self._cell, self._options, self._stop = cell, options, stop
-        self._arm: Arm = cell.arm(options.agent.arm)
+        self._arm: Arm = cell.arm(options.arm)
         self._q_start = _q_start(cell, self._arm)
         self._agent: Agent = build_agent(cell, self._arm)
-        emulated, simulated = options.agent.connection.emulated, options.agent.driver is DriverKind.SIM
+        emulated, simulated = options.emulated, options.driver is DriverKind.SIM
         floats = spec_of(cell, self._arm) is not None
         self._vigil = partial(vigil_of, cell.period_ns, emulated=emulated, simulated=simulated, floating=floats)
         self._notifier = stack.enter_context(closing(Notifier()))
         self._successor: Successor | FloatSuccessor
         if floats:
-            self._successor = FloatSuccessor(cell, self._arm, self._agent, options.agent, self._notifier)
+            self._successor = FloatSuccessor(cell, self._arm, self._agent, self._notifier, shared=options.shared)
         else:
             self._successor = Successor(cell, self._arm, self._agent, options, stop, self._notifier)
         self._clock = MonotonicClock()
@@ -102,15 +103,15 @@ class _Guard:
         stack.callback(self._let_go)
         self._stroked_ns = 0
         quiet_memory()
-        if options.agent.priority is not None:
-            become_realtime(options.agent.priority)
+        if options.priority is not None:
+            become_realtime(options.priority)
         self._notifier.ready(WAITING)
 
     def _open_port(self) -> SerialPort | None:
         """None of a simulated arm; else kept by the service manager while this guard was gone, or opened and locked."""
-        if self._options.agent.driver is DriverKind.SIM:
+        if self._options.driver is DriverKind.SIM:
             return None
-        path, kept = port_of(self._arm, self._options.agent.connection), stored_fds()
+        path, kept = port_of(self._arm, self._options), stored_fds()
         if PORT in kept:  # where this guard was gone alone, its agent is in the middle of an exchange
             port = SerialPort(path, self._arm.baud, self._clock, lambda: kept[PORT], in_use=True)
         else:
@@ -171,7 +172,7 @@ class _Guard:
 
     def _waits_for_others(self, watched: Watched) -> bool:
         """Whether its arm is simulated and time has not begun there: that needs every arm, and holds nothing."""
-        return self._options.agent.driver is DriverKind.SIM and watched.rows == 0
+        return self._options.driver is DriverKind.SIM and watched.rows == 0
 
     def _answer(self, said: Said, now_ns: int) -> None:
         """Do what the agent says.  What a stranger could send is refused, and its descriptors are closed."""
@@ -224,10 +225,10 @@ class _Guard:
         self._line.answer()
 
     def _prepared(self) -> Standby:
-        connection, port = self._options.agent.connection, self._port
         return build_standby(
-            self._cell, self._arm, connection, port, self._q_start, self._successor.warn, self._drivers, self._told
-        )
+            self._cell, self._arm, self._options, self._port, self._q_start, self._successor.warn, self._drivers,
+            self._told,
+        )  # fmt: skip
 
     def _let_go(self) -> None:
         if self._driver is not None:

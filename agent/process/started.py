@@ -11,9 +11,11 @@ from agent.host.signals import begin
 from agent.host.starting import ready
 from agent.process.commands import (
     AgentCommand,
+    AgentOptions,
     ChildCommand,
     EmulateCommand,
     GuardCommand,
+    GuardOptions,
     PlantCommand,
     RecordCommand,
     TelemetryCommand,
@@ -63,7 +65,7 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     from agent.config.floating import spec_of
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import run_agent
-    from agent.process.build import Connection, port_of
+    from agent.process.build import port_of
     from agent.process.floats import run_float
     from agent.process.rehearse import (
         driver_of,
@@ -74,43 +76,37 @@ def agent(command: AgentCommand, listener: Listener) -> int:
         require_wall_clock,
         taken,
     )
-    from agent.process.schedule import AgentOptions
 
     requested = begin(command.with_parent)
-    loaded, arm, port, emulated = load_cell(command.cell), command.arm, command.port, command.emulated
+    loaded, arm, emulated = load_cell(command.cell), command.arm, command.emulated
     kind = driver_of(loaded, arm, command.driver)
     name = loaded.file.name
     if not emulated:
         require_one_host(loaded)
     if in_the_loop(loaded, arm):
-        port_of(loaded.arm(arm), Connection(port=port))
+        port_of(loaded.arm(arm), command)
     if in_the_loop(loaded, arm) and not emulated:
         with requested.interrupting():  # or a stop at the question would be heard after the answer
             said = command.gripper_empty or taken(command.gripper_word)
             require_empty_gripper(arm, said or listener.agrees(f"Is the gripper of arm {arm} EMPTY?"))
     require_wall_clock(loaded, real_time=command.real_time or kind is DriverKind.DYNAMIXEL)
-    lockstep = kind is DriverKind.SIM and not command.real_time
-    if command.guard is not None and lockstep:
+    options = AgentOptions(
+        **vars(command)
+        | {
+            "driver": kind,
+            "plant_socket": command.plant_socket or plant_socket_path(name),
+            "ring": command.ring or ring_path(name, arm),
+            "control": command.control or control_path(name, arm),
+            "hold": command.whole or holds(loaded, kind, emulated=emulated, asked=command.hold),
+        }
+    )
+    if options.guard is not None and options.lockstep:
         raise ConfigError(
             f"guard of arm {arm}", found="an agent in lockstep, for which time waits",
             expected="one at the wall clock's pace", remedy="give --real-time",
         )  # fmt: skip
     if command.ring is None or command.control is None:
         make_runtime_dir(name)
-    options = AgentOptions(
-        arm=arm,
-        driver=kind,
-        connection=Connection(command.plant_socket or plant_socket_path(name), port, emulated, command.utc_offset_ns),
-        ring=command.ring or ring_path(name, arm),
-        control=command.control or control_path(name, arm),
-        lockstep=lockstep,
-        hold=command.whole or holds(loaded, kind, emulated=emulated, asked=command.hold),
-        whole=command.whole,
-        priority=command.priority,
-        guard=command.guard,
-        no_realtime=command.allow_no_realtime,
-        wait_s=command.wait,
-    )
     floats = spec_of(loaded, loaded.arm(arm)) is not None
     summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
     listener.say(
@@ -128,12 +124,9 @@ def guard(command: GuardCommand, listener: Listener) -> int:
         notifier.loading("loads")  # for a second from here on; its agent loads meanwhile, and waits for the socket
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
-    from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path
-    from agent.process.build import Connection
+    from agent.host.paths import control_path, guard_path, make_runtime_dir
     from agent.process.guard import run_guard
     from agent.process.rehearse import driver_of, holds
-    from agent.process.schedule import AgentOptions
-    from agent.process.successor import GuardOptions
 
     requested = begin(command.with_parent)
     loaded, arm = load_cell(command.cell), command.arm
@@ -141,19 +134,17 @@ def guard(command: GuardCommand, listener: Listener) -> int:
     name = loaded.file.name
     if command.socket is None or command.control is None:
         make_runtime_dir(name)
-    options = AgentOptions(
-        arm=arm,
-        driver=kind,
-        connection=Connection(port=command.port, emulated=command.emulated),
-        ring=ring_path(name, arm),
-        control=command.control or control_path(name, arm),
-        lockstep=False,
-        hold=holds(loaded, kind, emulated=command.emulated, asked=command.hold),
-        priority=command.priority,
+    options = GuardOptions(
+        **vars(command)
+        | {
+            "driver": kind,
+            "socket": command.socket or guard_path(name, arm),
+            "control": command.control or control_path(name, arm),
+            "hold": holds(loaded, kind, emulated=command.emulated, asked=command.hold),
+        }
     )
     make_folder(command.post_mortem)  # while nothing is held yet
-    socket = command.socket or guard_path(name, arm)
-    summary = run_guard(loaded, GuardOptions(options, command.cell, socket, command.post_mortem), requested, ready)
+    summary = run_guard(loaded, options, requested, ready)
     if summary is not None:
         listener.say(f"arm {arm}: held for {summary.ticks} cycles, mode {summary.mode.name} {summary.reason}")
     return 0

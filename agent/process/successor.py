@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -24,8 +23,9 @@ from agent.operator.error import ControlError
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.agent import ArmLost
 from agent.process.build import Standby
+from agent.process.commands import GuardOptions
 from agent.process.operated import Operator, tick_of
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.schedule import schedule_of
 from agent.process.session import led_back
 from agent.process.tellers import Every, Heart, ServoTeller, Teller
 from agent.runner import Runner
@@ -38,16 +38,6 @@ POST_MORTEM_AFTER_S = 0.3  # of the hold, so that its first cycles are in it
 FOLDER_WAIT_S = 0.02  # for who begins beside it: a cell's guards may take over at once, and servos wait for 0.2 s
 LISTEN_S = 1.0  # from one attempt to hear words to the next, of a hold that could not
 HOLDS, HANDED_OVER = "holds in the agent's place", "the agent was asked to end"
-
-
-@dataclass(frozen=True)
-class GuardOptions:
-    """How one guard is started."""
-
-    agent: AgentOptions  # what the hold after the agent is run with
-    cell: Path
-    socket: Path
-    post_mortem: Path  # folder
 
 
 class Successor:
@@ -69,7 +59,7 @@ class Successor:
 
     def hold(self, watched: Watched, driver: Standby, reason: str, *, session: bool) -> RunSummary:
         """Go on in HOLD, or as a session stands there, until a release.  Raises AdoptError, ArmLost."""
-        options, arm = self._options.agent, self._arm
+        options, arm = self._options, self._arm
         self._session = session
         self._stop.released = False  # said while there was nothing here to release
         rows = watched.last_rows()
@@ -84,7 +74,7 @@ class Successor:
             level = Level.INFO if reason == HANDED_OVER else Level.ERROR
             tell.event(level, f"{reason}: the guard holds the arm", **since)
             standing = Standing(arm.name, Mode.HOLD, reason)
-            schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
+            schedule = schedule_of(self._cell, hold=True, shared=options.shared)
             try:
                 begun = go_on(self._agent, driver, clock, rows, schedule, reason, session=session)
             except Refusal as error:
@@ -118,7 +108,7 @@ class Successor:
 
     def _listen(self, standing: Standing, stack: ExitStack, wait_s: float) -> ControlSocket | None:
         """Until the stack ends; None where no words are to be heard.  Raises ControlError."""
-        path = self._options.agent.control
+        path = self._options.control
         if path is None:
             return None
         control = ControlSocket(path, self._cell.fingerprint, standing, wait_s)
@@ -132,14 +122,14 @@ class Successor:
         rate_hz = self._cell.file.rate_hz
         heart = Heart(self._notifier, rate_hz)
         servos = ServoTeller(driver, watched.texts, clock.utc_offset_ns, rate_hz)
-        agent = self._options.agent
+        options = self._options
         operator = Operator(
-            self._stop, control, clock, tell.event, drops_on_stop=not agent.hold, session=self._session,
+            self._stop, control, clock, tell.event, drops_on_stop=not options.hold, session=self._session,
             standing=standing,
         )  # fmt: skip
         fixed = {
-            "pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS, "session": self._session,
-            "drops_on_stop": not agent.hold,
+            "pid": os.getpid(), "driver": options.driver.value, "guard": HOLDS, "session": self._session,
+            "drops_on_stop": not options.hold,
         }  # fmt: skip
         standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
         heart.mode(begins)

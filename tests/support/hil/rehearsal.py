@@ -22,10 +22,10 @@ from agent.config.servo_map import arm_map
 from agent.faults.looped import GIVE_UP_NS, PHASE_NS, Physics, VirtualPlant, VirtualSim, VirtualTwin
 from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event
-from agent.process.build import Connection, build_agent
+from agent.process.build import build_agent
 from agent.process.emulate import wiring
 from agent.process.rehearse import BridgedRows, bridge
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.schedule import schedule_of
 from agent.process.simulated import lone_spec
 from agent.report.series import internal_wrenches
 from agent.runner import Runner
@@ -153,9 +153,8 @@ class Rehearsal:
             mode_changed=lambda _: None,
         )
         kind = DriverKind.DYNAMIXEL if arm.name in self.real else DriverKind.SIM
-        options: Any = AgentOptions(arm.name, kind, Connection(), None, None, lockstep=False, hold=False)  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
-        schedule = schedule_of(self.cell, options)
+        schedule = schedule_of(self.cell, hold=False, shared=kind is DriverKind.SIM)
         sink: Any = BridgedRows(run.log, row, driver) if run.bridge is not None else run.log
         run.summary = Runner(build_agent(self.cell, arm), driver, self.clock, schedule, row, sink, around).run()
 

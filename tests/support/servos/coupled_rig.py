@@ -15,14 +15,13 @@ import numpy as np
 from agent.around import RunSummary, Surroundings
 from agent.config.cell import Arm, Cell
 from agent.config.monitors import bounds
-from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event
 from agent.monitors.watch import Watch
-from agent.process.build import Connection, build_agent
+from agent.process.build import build_agent
 from agent.process.emulate import wiring
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.schedule import schedule_of
 from agent.process.simulated import plant_spec
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
@@ -174,11 +173,8 @@ class CoupledRun:
             mode_changed=lambda _: None,
             busy=lambda: run.busy_s.append(self.since_s()),
         )
-        options: Any = AgentOptions(
-            arm.name, DriverKind.DYNAMIXEL, Connection(emulated=not self._real), None, None, lockstep=False, hold=False
-        )  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self._cell.config_id)
-        schedule = schedule_of(self._cell, options)
+        schedule = schedule_of(self._cell, hold=False, shared=not self._real)
         agent = build_agent(self._cell, arm)
         watch = Watch(bounds(self._cell, arm), run.told.append)
         run.runner = Runner(agent, driver, self._clock, schedule, row, run.log, around, watch)

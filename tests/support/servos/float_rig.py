@@ -15,17 +15,15 @@ import pinocchio as pin
 from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
 from agent.config.floating import taking_part
-from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line, SharedClock
 from agent.guard.takeover import go_on
 from agent.loop import Agent
 from agent.modes import Mode
-from agent.process.build import Connection, build_agent
+from agent.process.build import build_agent
 from agent.process.emulate import about_the_object, wiring
 from agent.process.float_loop import FloatLoop, Floats
 from agent.process.floats import require_within
-from agent.process.schedule import AgentOptions
 from agent.process.simulated import lone_spec
 from agent.process.tellers import Teller
 from agent.replay.chain import Chain
@@ -250,13 +248,10 @@ class FloatRun:
         ring: Any = run.ring
         texts: Any = run.texts
         notifier: Any = Silent()
-        options = AgentOptions(
-            floats.arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, lockstep=False, hold=True  # type: ignore[arg-type]
-        )  # fmt: skip
         assert run.driver is not None
         return FloatLoop(
-            floats, options, run.driver, clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier,
-            agent, told=self if floats.moves else None,
+            floats, run.driver, clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier,
+            shared=False, agent=agent, told=self if floats.moves else None,
         )  # fmt: skip
 
     def start_ns(self) -> int | None:

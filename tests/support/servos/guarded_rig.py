@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from agent.around import RunSummary, Surroundings
+from agent.around import RunSummary, Schedule, Surroundings
 from agent.config.cell import Arm, Cell
-from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line, SharedClock
 from agent.guard.takeover import WATCH_NS, go_on, stale_ns
 from agent.guard.vigil import Vigil
 from agent.modes import Event, Mode
-from agent.process.build import Connection, build_agent
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.build import build_agent
+from agent.process.schedule import schedule_of
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
@@ -124,7 +123,7 @@ class GuardedRun(CoupledRun):
                 clock.end_ns = zero_ns + round(self._ends[arm.name].at_s * 1e9)
             return zero_ns
 
-        schedule = self._schedule(arm)
+        schedule = self._schedule()
         runner = Runner(
             build_agent(self._cell, arm),
             driver,
@@ -160,23 +159,14 @@ class GuardedRun(CoupledRun):
                 run.held = driver.adopt(dq, brings_back=brings_back)
                 return run.held
 
-        begun = go_on(agent, Asked(), clock, rows, self._schedule(arm), "the agent has died")
+        begun = go_on(agent, Asked(), clock, rows, self._schedule(), "the agent has died")
         until_ns = (self._zero_ns or 0) + self._until_ns
         around = self._around(run, lambda: None, lambda: clock.now_ns() > until_ns)
-        schedule = replace(self._schedule(arm), hold_at_end=True)
+        schedule = replace(self._schedule(), hold_at_end=True)
         return Runner(agent, driver, clock, schedule, row, run.log, around, beginning=begun).run()
 
-    def _schedule(self, arm: Arm) -> Any:
-        options: Any = AgentOptions(
-            arm.name,
-            DriverKind.DYNAMIXEL,
-            Connection(),
-            None,
-            None,
-            lockstep=False,
-            hold=False,  # type: ignore[arg-type]
-        )
-        return schedule_of(self._cell, options)
+    def _schedule(self) -> Schedule:
+        return schedule_of(self._cell, hold=False, shared=False)
 
     def _around(self, run: Guarded, start_ns: Any, over: Any) -> Surroundings:
         def beat() -> None:

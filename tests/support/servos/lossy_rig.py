@@ -15,15 +15,14 @@ import numpy as np
 import configs
 from agent.around import Beginning, Schedule, Surroundings
 from agent.config.cell import Cell, load_cell
-from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
 from agent.guard.takeover import go_on
 from agent.loop import Agent
 from agent.modes import Event, Mode
-from agent.process.build import Connection, build_agent
+from agent.process.build import build_agent
 from agent.process.emulate import wiring
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.schedule import schedule_of
 from agent.process.simulated import lone_spec
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
@@ -75,10 +74,7 @@ def agent() -> Agent:
 
 @cache
 def schedule() -> Schedule:
-    options: Any = AgentOptions(
-        cell().arms[0].name, DriverKind.DYNAMIXEL, Connection(), None, None, lockstep=False, hold=True,  # type: ignore[arg-type]
-    )  # fmt: skip
-    return schedule_of(cell(), options)
+    return schedule_of(cell(), hold=True, shared=False)
 
 
 @dataclass

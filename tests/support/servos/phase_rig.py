@@ -246,7 +246,7 @@ class PhaseRun:
             memory = initial_memory(agent)._replace(age=1e3 if self.at is At.GRASP else 0.0)
             begun = Beginning(begins, memory, clock.now_ns() + NOT_YET_NS, 0, "")
         watch = Watch(monitors.bounds(self.cell, arm), run.told.append)
-        schedule = session_schedule(self.cell, arm)
+        schedule = session_schedule(self.cell)
         runner = Runner(agent, driver, clock, schedule, row, run.log, around, watch, begun, session)
         try:
             summary = runner.run(Event.ENABLED)
@@ -265,7 +265,7 @@ class PhaseRun:
         rows = np.array(run.log.rows[-64:], dtype=AGENT_STATE.dtype)
         run.signals = SimpleNamespace(stopped=False, stops=0, released=False, why="")
         run.standing = Standing(arm.name)
-        schedule = session_schedule(self.cell, arm)
+        schedule = session_schedule(self.cell)
         begun = go_on(agent, driver, self.clock, rows, schedule, "the agent has died", session=True)
         session = led_back(self.cell, arm, agent, driver, begun, run.standing)
         run.reasons.append(run.standing.reason)

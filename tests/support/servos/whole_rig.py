@@ -12,14 +12,13 @@ import pinocchio as pin
 from agent.around import RunSummary, Schedule, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
-from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.config.session import rest_joints
 from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event, Mode
 from agent.monitors.watch import Watch
-from agent.process.build import Connection, build_agent
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.build import build_agent
+from agent.process.schedule import schedule_of
 from agent.process.session import session_loop
 from agent.process.whole import WHERE_IT_SHOULD, whole_cell
 from agent.runner import Runner
@@ -45,12 +44,9 @@ WORDS = {
 }
 
 
-def session_schedule(cell: Cell, arm: Arm) -> Schedule:
+def session_schedule(cell: Cell) -> Schedule:
     """As an agent has it that is held on to at its end."""
-    options: Any = AgentOptions(
-        arm.name, DriverKind.DYNAMIXEL, Connection(emulated=True), None, None, lockstep=False, hold=True
-    )  # type: ignore[arg-type]
-    return schedule_of(cell, options)
+    return schedule_of(cell, hold=True, shared=True)
 
 
 @dataclass
@@ -124,7 +120,7 @@ class WholeRun:
             refused=run.told.append,
         )
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
-        schedule = session_schedule(self.cell, arm)
+        schedule = session_schedule(self.cell)
         session = session_loop(self.cell, arm, agent, driver)
         watch = Watch(monitors.bounds(self.cell, arm), run.told.append)
         loop = Runner(agent, driver, self.clock, schedule, row, run.log, around, watch, session=session)

@@ -108,8 +108,7 @@ def test_a_hold_that_was_asked_for_has_no_post_mortem(gate: Path) -> None:
 
 def test_a_guard_names_the_file_that_its_writer_was_given(gate: Path) -> None:
     (gate.parent / "waits.py").write_text("import sys; open(sys.argv[4] + '.part', 'x'); raise SystemExit(4)")
-    agent = SimpleNamespace(arm="left", control=None)
-    options: Any = SimpleNamespace(agent=agent, cell=gate.parent / "cell.toml", post_mortem=gate.parent)
+    options: Any = SimpleNamespace(cell=gate.parent / "cell.toml", post_mortem=gate.parent)
     guard: Any = Successor(CELL, CELL.arm("left"), None, options, None, None)  # type: ignore[arg-type]
     told: list[str] = []
     guard._black_box(gate.parent / "left.ring", "the agent has died").finish(lambda: None, told.append)
@@ -138,15 +137,17 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
     )  # fmt: skip
     driver: Any = SimpleNamespace(disable=did("torque off"), close=did("closed"))
     notifier: Any = SimpleNamespace(alive=did("stroke"), stopping=did("stopping"))
-    agent = SimpleNamespace(arm="left", control=None, hold=True, driver=SimpleNamespace(value="dynamixel"))
-    options: Any = SimpleNamespace(agent=agent, cell=tmp_path / "cell.toml", post_mortem=tmp_path)
+    options: Any = SimpleNamespace(
+        control=None, hold=True, shared=False, driver=SimpleNamespace(value="dynamixel"), cell=tmp_path / "cell.toml",
+        post_mortem=tmp_path,
+    )  # fmt: skip
     box = SimpleNamespace(
         finish=lambda meanwhile, missing: (done.append("waited"), meanwhile(), missing("it hung")),
     )  # fmt: skip
     with ExitStack() as stack:
         for name, fake in {
             "clock_of": lambda _: SimpleNamespace(utc_offset_ns=0), "go_on": lambda *_, **__: begun,
-            "BlackBox": lambda *_, **__: box, "schedule_of": lambda *_: None, "replace": lambda *_, **__: None,
+            "BlackBox": lambda *_, **__: box, "schedule_of": lambda *_, **__: None,
             "AgentRow": lambda *_: None, "Watch": lambda *_: None,
             "Runner": lambda *given: (given[6].busy(), SimpleNamespace(run=run))[1],
             "Teller": lambda *_: SimpleNamespace(

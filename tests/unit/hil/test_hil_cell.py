@@ -69,7 +69,7 @@ def test_an_arm_in_the_loop_needs_a_port_and_a_plant() -> None:
     arm = type(looped.arms[0])(bare, *(getattr(looped.arms[0], k) for k in ("file", "toml", "urdf_xml", "servos")))
     q = start_joints(looped)[0]
     with pytest.raises(ConnectError, match="port of arm left: found none"):
-        build_driver(looped, arm, DriverKind.DYNAMIXEL, Connection(Path("plant.sock")), q, print)
+        build_driver(looped, arm, DriverKind.DYNAMIXEL, Connection(plant_socket=Path("plant.sock")), q, print)
     with pytest.raises(ConnectError, match="twin of arm left: found no plant socket"):
         build_driver(looped, looped.arms[0], DriverKind.DYNAMIXEL, Connection(), q, print)
 

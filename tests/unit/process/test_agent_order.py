@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import configs
-from agent.around import RunSummary, Surroundings
+from agent.around import RunSummary, Schedule, Surroundings
 from agent.config.agent import build_agent
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
@@ -22,8 +22,7 @@ from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
 from agent.operator.socket import Standing
 from agent.process import agent as process
-from agent.process.build import Connection
-from agent.process.schedule import AgentOptions
+from agent.process.commands import AgentOptions
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.topics import Kind
@@ -90,10 +89,8 @@ def rig() -> tuple[EmulatedCell, VirtualClock, DynamixelDriver]:
 
 
 def options(folder: Path, **more: Any) -> AgentOptions:
-    usual: dict[str, Any] = {"driver": DriverKind.DYNAMIXEL, "connection": Connection(emulated=True)}
-    return AgentOptions(
-        arm="left", ring=folder / "left.ring", control=None, lockstep=False, hold=False, **(usual | more)
-    )
+    usual: dict[str, Any] = {"driver": DriverKind.DYNAMIXEL, "emulated": True, "real_time": True, "hold": False}
+    return AgentOptions(cell=Path(), arm="left", ring=folder / "left.ring", control=None, **(usual | more))
 
 
 def test_a_host_that_builds_the_law_slowly_trips_no_watchdog(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,6 +164,28 @@ def test_an_agent_tells_that_the_wall_clock_was_set_and_goes_on(
     assert [(event.level, event.text) for event in told] == [(Level.WARN, "the wall clock was set by +2 s")]
 
 
+@pytest.mark.parametrize("hold", [False, True])
+@pytest.mark.parametrize(("driver", "real_time", "lockstep"), [
+    (DriverKind.SIM, False, True), (DriverKind.SIM, True, False), (DriverKind.DYNAMIXEL, False, False),
+])  # fmt: skip
+def test_the_ticks_of_an_agent_are_as_it_is_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, driver: DriverKind, real_time: bool, lockstep: bool, hold: bool
+) -> None:
+    _, clock, servos = rig()
+    schedules = list[Schedule]()
+
+    def runner(_: object, __: object, ___: object, schedule: Schedule, *____: object, **_____: object) -> Any:
+        schedules.append(schedule)
+        return SimpleNamespace(run=lambda _: RunSummary(1, 0, 0, Mode.OFF, "", 0.0))
+
+    monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
+    monkeypatch.setattr(process, "_law", lambda *_: SimpleNamespace(agent=None, session=None, watch=None))
+    monkeypatch.setattr(process, "Runner", runner)
+    given = options(tmp_path, driver=driver, real_time=real_time, hold=hold)
+    process.run_agent(CELL, given, StopFlag(), lambda _: None)
+    assert [(made.lockstep, made.hold_at_end) for made in schedules] == [(lockstep, hold)]
+
+
 @pytest.mark.parametrize(("lockstep", "times"), [(False, 1), (True, 0)])
 def test_an_agent_that_nobody_guards_says_so_where_it_runs_by_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lockstep: bool, times: int
@@ -176,7 +195,7 @@ def test_an_agent_that_nobody_guards_says_so_where_it_runs_by_itself(
     monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
     monkeypatch.setattr(process, "_law", lambda *_: None)
     monkeypatch.setattr(process, "_runner", lambda *_: SimpleNamespace(run=lambda _: released))
-    given = dataclasses.replace(options(tmp_path), lockstep=lockstep)
+    given = options(tmp_path, driver=DriverKind.SIM, real_time=not lockstep)
     process.run_agent(CELL, given, StopFlag(), lambda _: None)
     texts = [text for kind, text in TextReader(tmp_path / "left.ring").read_new() if kind is Kind.EVENT]
     told = [event for text in texts if (event := Event.from_json(text)).text == UNGUARDED]

@@ -21,7 +21,8 @@ from agent.guard.line import GuardError
 from agent.modes import Mode
 from agent.process.agent import LOST_REMEDY, ArmLost
 from agent.process.build import Connection, build_standby, passed_on, servo_driver
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.commands import AgentOptions
+from agent.process.schedule import schedule_of
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import PortError, StaleJointsError
 from drivers.dynamixel.pace import SHARE
@@ -98,9 +99,10 @@ def test_the_schedule_of_an_agent_is_that_of_its_cell_and_of_how_it_is_started()
     sim, real = DriverKind.SIM, DriverKind.DYNAMIXEL
     for driver, emulated, held in ((sim, False, 100), (real, True, 100), (real, False, 3)):
         for hold, lockstep in ((True, False), (False, True)):
-            ring = Path("ring")
-            options = AgentOptions("left", driver, Connection(emulated=emulated), ring, None, lockstep, hold)
-            found = schedule_of(ready, options)
+            options = AgentOptions(
+                cell=Path(), arm="left", driver=driver, emulated=emulated, ring=Path(), control=None, hold=hold
+            )
+            found = schedule_of(ready, hold=options.hold, shared=options.shared, lockstep=lockstep)
             assert (found.period_ns, found.ticks, found.ready_ns) == (5_000_000, 600, 1_500_000_000)
             assert (found.hold_at_end, found.lockstep, found.patience.hold) == (hold, lockstep, held)
 

@@ -14,14 +14,12 @@ import pytest
 from agent.around import Beginning, RunSummary
 from agent.config import floating
 from agent.config.cell import Cell, load_cell
-from agent.config.schema.cell import DriverKind
 from agent.grip import GripResult
 from agent.loop import Agent, initial_memory
 from agent.modes import Event, Mode
 from agent.process import float_loop
-from agent.process.build import Connection, build_agent
+from agent.process.build import build_agent
 from agent.process.float_loop import FloatError, FloatLoop, Floats, Grasp
-from agent.process.schedule import AgentOptions
 from agent.telemetry.row.event import Level
 from agent.ticks import NOT_YET_NS
 from drivers.dynamixel.arm_map import JointRole
@@ -109,14 +107,11 @@ class Bench:
         floats = Floats.of(self.cell, name)
         self.agent, self.ring, self.gripper = agent_of(name, *settings), Rows(), Gripper()
         self.ring.kept = [None] * 9
-        options = AgentOptions(
-            name, DriverKind.DYNAMIXEL, Connection(), Path("ring"), None, lockstep=False, hold=False
-        )  # fmt: skip
         tell = SimpleNamespace(event=self._event, end=self._end, trouble=None, warn=self._warn)
         now = SimpleNamespace(now_ns=lambda: NOW_NS, utc_offset_ns=0)
         told = SimpleNamespace(start_ns=lambda: 77, entered=lambda mode: self.told.append(("entered", mode)))
-        given: Any = (floats, options, self.gripper, now, self.ring, lambda: self.stops, tell, None, None)
-        more: Any = {"agent": None if builds else self.agent, "told": told if floats.moves else None}
+        given: Any = (floats, self.gripper, now, self.ring, lambda: self.stops, tell, None, None)
+        more: Any = {"shared": False, "agent": None if builds else self.agent, "told": told if floats.moves else None}
         monkeypatch.setattr(float_loop, "build_agent", lambda *_: self.agent if builds else pytest.fail("it has one"))
         self.loop = FloatLoop(*given, **more)
 

@@ -29,9 +29,7 @@ class Arm:
 
     def __init__(self, path: Path, *, emulated: bool = True, accepts_late: bool = False) -> None:
         self.path, self.said = path, list[str]()
-        options: Any = SimpleNamespace(
-            arm="right", no_realtime=accepts_late, connection=SimpleNamespace(emulated=emulated)
-        )
+        options: Any = SimpleNamespace(arm="right", allow_no_realtime=accepts_late, emulated=emulated)
         tell: Any = SimpleNamespace(event=lambda _, text, **__: self.said.append(text))
         self.signals: Any = SimpleNamespace(stopped=False, released=False, stops=0)
         self.words = Words(path, CELL, options, self.signals, MonotonicClock(), tell)

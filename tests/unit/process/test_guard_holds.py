@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.around import RunSummary
+from agent.around import RunSummary, Schedule
 from agent.config.agent import build_agent
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
@@ -26,10 +26,9 @@ from agent.operator.socket import Standing
 from agent.operator.table import Verb
 from agent.process import float_successor
 from agent.process import successor as process
-from agent.process.build import Connection
+from agent.process.commands import GuardOptions
 from agent.process.float_successor import FloatSuccessor
-from agent.process.schedule import AgentOptions
-from agent.process.successor import GuardOptions, Successor
+from agent.process.successor import Successor
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.dynamixel.standby import StandbyDriver
@@ -41,21 +40,22 @@ CELL = load_cell(Path("two_wx200"))
 
 def made(folder: Path, *, hold: bool = True) -> Successor:
     arm = CELL.arm("left")
-    options = AgentOptions(
-        "left", DriverKind.DYNAMIXEL, Connection(), ring=folder / "left.ring", control=folder / "left.control",
-        lockstep=False, hold=hold,
+    given = GuardOptions(
+        cell=Path(), arm="left", driver=DriverKind.DYNAMIXEL, socket=folder / "guard", control=folder / "left.control",
+        post_mortem=folder, hold=hold,
     )  # fmt: skip
-    given = GuardOptions(options, Path(), folder / "guard", folder)
     return Successor(CELL, arm, build_agent(CELL, arm), given, StopFlag(), Notifier(""))
 
 
 def test_the_servos_have_a_torque_before_words_are_heard_and_bounds_are_there_already(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    guard, done = made(tmp_path), list[str]()
+    guard, done = made(tmp_path, hold=False), list[str]()
 
-    def go_on(*_: Any, **__: Any) -> Any:
+    def go_on(_: Any, __: Any, ___: Any, ____: Any, schedule: Schedule, *_____: Any, **______: Any) -> Any:
         done.append("torque")
+        assert schedule.hold_at_end, "whatever the agent would have done at its end"
+        assert not schedule.lockstep
         raise Refusal("arm left", found="that this is enough", expected="a test", remedy="none")
 
     monkeypatch.setattr(process, "go_on", go_on)
@@ -152,11 +152,8 @@ def test_what_lets_a_floating_arm_down_has_its_bounds_before_the_takeover(
 ) -> None:
     """To work them out takes longer than LimitRTTIME leaves a real-time process, and the servos wait for a torque."""
     cell, done = load_cell(Path("two_wx200"), ['floating.arms=["left"]', *told]), list[str]()
-    options = AgentOptions(
-        "left", DriverKind.DYNAMIXEL, Connection(), ring=tmp_path / "ring", control=None, lockstep=False, hold=True
-    )
     arm = cell.arm("left")
-    guard = FloatSuccessor(cell, arm, build_agent(cell, arm), options, Notifier(""))
+    guard = FloatSuccessor(cell, arm, build_agent(cell, arm), Notifier(""), shared=False)
     monkeypatch.setattr(process.monitors, "bounds", lambda *_: done.append("bounds"))
     monkeypatch.setattr(float_successor, "go_on", lambda *_, **__: done.append("torque"))
     monkeypatch.setattr(float_successor.FloatLoop, "run", lambda *_: done.append("loop") or SUMMARY)

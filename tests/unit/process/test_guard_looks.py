@@ -98,7 +98,7 @@ class Bench:
         self.guard: Any = _Guard.__new__(_Guard)
         self.guard._line = self.line
         self.guard._notifier = SimpleNamespace(alive=self._alive, send=lambda _: None)
-        self.guard._options = SimpleNamespace(agent=SimpleNamespace(driver=driver))
+        self.guard._options = SimpleNamespace(driver=driver)
         self.guard._agent, self.guard._session, self.guard._stroked_ns = "law", True, 0
         self.guard._port, self.guard._drivers, self.guard._told = None, (), {}
         self.guard._driver = SimpleNamespace(drop=self._drop)
@@ -307,7 +307,6 @@ def test_a_port_that_the_service_manager_kept_is_taken_as_it_is_and_one_opened_a
     monkeypatch.setattr(process, "stored_fds", lambda: {"port": os.dup(slave)} if kept else {})
     monkeypatch.setattr(process, "port_of", lambda *_: os.ttyname(slave))
     bench.guard._arm, bench.guard._clock = SimpleNamespace(baud=1_000_000), MonotonicClock()
-    bench.guard._options.agent.connection = None
     bench.guard._notifier.keep = lambda *given: manager.append(given)
     port = bench.guard._open_port()
     assert manager == [("port", port.fileno())]

@@ -20,9 +20,8 @@ from agent.guard.line import Word
 from agent.guard.pulse import Pulse
 from agent.host.signals import StopFlag
 from agent.process import guard
-from agent.process.build import Connection
-from agent.process.schedule import AgentOptions, guard_vigil
-from agent.process.successor import GuardOptions
+from agent.process.commands import GuardOptions
+from agent.process.schedule import guard_vigil
 from agent.process.tellers import opened
 from agent.telemetry.ring.writer import RingWriter
 from tests.support.few import long
@@ -75,11 +74,11 @@ def watching(
     """A guard that has just been told to watch that process, the ring that it reads, and the line to it."""
     cell = load_cell(Path("two_wx200"), more)
     texts, ring = opened(stack, folder / "left.ring", cell.arm("left"))
-    options = AgentOptions(
-        "left", DriverKind.DYNAMIXEL, Connection(port=port, emulated=emulated), folder / "left.ring", None,
-        lockstep=False, hold=True,
+    options = GuardOptions(
+        cell=Path(), arm="left", driver=DriverKind.DYNAMIXEL, port=port, emulated=emulated, socket=folder / "socket",
+        control=None, post_mortem=folder, hold=True,
     )  # fmt: skip
-    made = guard._Guard(cell, GuardOptions(options, Path(), folder / "socket", folder), StopFlag(), stack)
+    made = guard._Guard(cell, options, StopFlag(), stack)
     end = AgentEnd(folder / "socket", cell.fingerprint)
     stack.callback(end.close)
     pidfd = os.pidfd_open(pid)
@@ -138,8 +137,9 @@ def test_a_moment_that_is_none_is_refused_and_ends_no_guard(
 def test_an_agent_bears_more_of_its_guard_where_its_arm_is_none(
     tmp_path: Path, driver: DriverKind, emulated: bool, stale_ms: int
 ) -> None:
-    options = AgentOptions(
-        "left", driver, Connection(emulated=emulated), tmp_path / "left.ring", None, lockstep=False, hold=True
-    )
-    made = guard_vigil(load_cell(Path("two_wx200")), options)()
+    options = GuardOptions(
+        cell=Path(), arm="left", driver=driver, emulated=emulated, socket=tmp_path / "socket", control=None,
+        post_mortem=tmp_path, hold=True,
+    )  # fmt: skip
+    made = guard_vigil(load_cell(Path("two_wx200")), shared=options.shared)()
     assert (made.stale_ns, made.look_ns) == (stale_ms * MS, 5 * MS)

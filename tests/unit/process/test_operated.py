@@ -26,10 +26,9 @@ from agent.operator.session_table import SESSION
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import EVENT_OF, TABLE, Verb
 from agent.process import agent, operated
-from agent.process.build import Connection
 from agent.process.clocked import ClockWatch
+from agent.process.commands import AgentOptions
 from agent.process.operated import Operator
-from agent.process.schedule import AgentOptions
 from agent.session_modes import next_in_session
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
@@ -465,8 +464,10 @@ def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowe
     monkeypatch.setattr(agent, "newest", lambda _: None)
     told: list[tuple[str, dict[str, Any]]] = []
     teller: Any = type("Teller", (), {"event": staticmethod(lambda _, text, **data: told.append((text, data)))})
-    connection = Connection(emulated=emulated)
-    options = AgentOptions("left", kind, connection, tmp_path, None, False, True, no_realtime=allowed)
+    options = AgentOptions(
+        cell=Path(), arm="left", driver=kind, emulated=emulated, ring=tmp_path, control=None, real_time=True, hold=True,
+        allow_no_realtime=allowed,
+    )  # fmt: skip
     cell = load_cell(configs.CELLS_DIR / "two_wx200.toml", [f"session.take_up_s={taken_up_s}"] if taken_up_s else [])
     rig = Rig(tmp_path / "left.control")
     standing = rig.control.standing
@@ -491,7 +492,9 @@ def test_an_agent_in_lockstep_starts_by_itself_and_says_nothing_of_its_host(
     monkeypatch.setattr(agent, "newest", lambda _: None)
     told: list[str] = []
     teller: Any = type("Teller", (), {"event": staticmethod(lambda _, text, **__: told.append(text))})
-    options = AgentOptions("left", DriverKind.SIM, Connection(), tmp_path, None, lockstep=True, hold=False)
+    options = AgentOptions(
+        cell=Path(), arm="left", driver=DriverKind.SIM, ring=tmp_path, control=None, hold=False
+    )  # fmt: skip
     rig = Rig(tmp_path / "left.control")
     with closing(rig.control), RingWriter(tmp_path / "ring", AGENT_STATE, "left", ("waist",)) as ring:
         agent._stand(

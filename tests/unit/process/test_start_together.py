@@ -18,8 +18,7 @@ from agent.guard.line import GuardError
 from agent.host.signals import StopFlag
 from agent.process import agent as process
 from agent.process import guard
-from agent.process.build import Connection
-from agent.process.schedule import AgentOptions
+from agent.process.commands import AgentOptions
 from agent.process.unbegun import Unbegun
 
 CELL = load_cell(configs.CELLS_DIR / "paper.toml")
@@ -27,8 +26,8 @@ CELL = load_cell(configs.CELLS_DIR / "paper.toml")
 
 def options(folder: Path, wait_s: float, driver: DriverKind = DriverKind.DYNAMIXEL) -> AgentOptions:
     return AgentOptions(
-        "left", driver, Connection(plant_socket=folder / "plant.sock"), folder / "left.ring", None, lockstep=False,
-        hold=True, guard=folder / "left.guard", wait_s=wait_s,
+        cell=Path(), arm="left", driver=driver, plant_socket=folder / "plant.sock", ring=folder / "left.ring",
+        control=None, real_time=True, hold=True, guard=folder / "left.guard", wait=wait_s,
     )  # fmt: skip
 
 
@@ -104,6 +103,6 @@ def test_a_plant_that_does_not_come_is_left_to_who_connects(tmp_path: Path) -> N
 def test_a_simulated_arm_without_a_row_waits_for_the_others_and_does_not_hang(
     driver: DriverKind, rows: int, waits: bool
 ) -> None:
-    own: Any = SimpleNamespace(_options=SimpleNamespace(agent=SimpleNamespace(driver=driver)))
+    own: Any = SimpleNamespace(_options=SimpleNamespace(driver=driver))
     watched: Any = SimpleNamespace(rows=rows)
     assert guard._Guard._waits_for_others(own, watched) is waits

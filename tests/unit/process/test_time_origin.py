@@ -13,12 +13,11 @@ from agent.cli.main import dispatch
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.process import children, emulate, floating_commands, floats, plant
-from agent.process.build import Connection
 from agent.process.children import Children
+from agent.process.commands import AgentOptions
 from agent.process.floating_cell import FloatOptions
 from agent.process.floating_commands import FloatCommands
 from agent.process.run_kind import RunKind
-from agent.process.schedule import AgentOptions
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import PLANT_STATE
 from drivers.interface import Clock, Refusal
@@ -66,9 +65,10 @@ def test_an_arm_that_floats_keeps_to_what_it_is_told(tmp_path: Path, monkeypatch
         return SimpleNamespace(connect=no_arm, disable=lambda: None, close=lambda: None)
 
     monkeypatch.setattr(floats, "servo_driver", servo_driver)
-    connection = Connection(port="nowhere", utc_offset_ns=OFFSETS_NS[0])
-    ring = tmp_path / "left.ring"
-    options = AgentOptions("left", DriverKind.DYNAMIXEL, connection, ring, None, lockstep=False, hold=True)
+    options = AgentOptions(
+        cell=Path(), arm="left", driver=DriverKind.DYNAMIXEL, port="nowhere", utc_offset_ns=OFFSETS_NS[0],
+        ring=tmp_path / "left.ring", control=None, hold=True,
+    )  # fmt: skip
     cell = load_cell(Path(PAPER), ['floating.arms=["left"]'])
     with pytest.raises(Refusal, match="connect it"):
         floats.run_float(cell, options, lambda: True, lambda _: None)  # type: ignore[arg-type]

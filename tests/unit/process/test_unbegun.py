@@ -21,8 +21,7 @@ from agent.modes import Mode
 from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
 from agent.process import agent, float_loop, floats
-from agent.process.build import Connection
-from agent.process.schedule import AgentOptions
+from agent.process.commands import AgentOptions
 from agent.process.unbegun import Unbegun
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.line.codec import HEADER
@@ -53,8 +52,8 @@ class Bench:
         self.port = VirtualPort(Line(emulated, 0, injector, self.clock), arm.baud)
         self.driver = DynamixelDriver(servos, self.clock, scan_s=0.05, port=self.port)
         self.options = AgentOptions(
-            arm="left", driver=DriverKind.DYNAMIXEL, connection=Connection(emulated=True), ring=folder / "left.ring",
-            control=None, lockstep=False, hold=False,
+            cell=Path(), arm="left", driver=DriverKind.DYNAMIXEL, emulated=True, ring=folder / "left.ring",
+            control=None, hold=False,
         )  # fmt: skip
 
     def happens(self, what: str) -> None:
