@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.config.cell import Arm, Cell
 from agent.config.friction import unfiled
-from agent.config.schema.reality import ArmReality, Reality
+from agent.config.schema.reality import STIFFNESSES, ArmReality, Reality
 from agent.config.schema.tolerance import Tolerance
 from agent.control.quaternion import Vec3
 from drivers.interface import Vector
@@ -51,6 +51,9 @@ def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
     if cell.file.simulation.effects.friction:
         sticking = np.random.default_rng([seed, 2])
         arms = {arm.name: _sticking(tolerance, sticking, arm, arms[arm.name]) for arm in cell.arms}
+    if not tolerance.pads_alike:
+        unlike = np.random.default_rng([seed, 3])
+        arms = {name: _on_own_pads(tolerance, unlike, arm) for name, arm in arms.items()}
     drawn = Reality(
         object=rng.uniform(1.0 - tolerance.object, 1.0 + tolerance.object),
         object_centre_m=_offset(rng, tolerance.object_centre_m, normal, cell.T_world_object_start.rotation.T),
@@ -71,6 +74,11 @@ def _jittering_within(real: Reality, jitter_s: float) -> Reality:
 def _worn(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> ArmReality:
     gaps_rad = rng.uniform(0.0, tolerance.backlash_rad, len(arm.zeros_rad))
     return arm.model_copy(update={"backlash_rad": tuple(gaps_rad.tolist())})
+
+
+def _on_own_pads(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> ArmReality:
+    pads = {key: _log_uniform(rng, *getattr(tolerance, key)) for key in STIFFNESSES}
+    return arm.model_copy(update=pads)
 
 
 def _sticking(tolerance: Tolerance, rng: np.random.Generator, arm: Arm, real: ArmReality) -> ArmReality:

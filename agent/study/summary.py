@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.config.cell import Cell
 from agent.config.reality import draw
-from agent.config.schema.reality import Reality
+from agent.config.schema.reality import STIFFNESSES, Reality
 from agent.study.fault import Fault
 from agent.study.measure import RunResult, bounds_of, gave_up
 from drivers.interface import Vector
@@ -141,8 +141,7 @@ def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
         "zeros_rad": float(np.linalg.norm([z for a in arms for z in a.zeros_rad])),
         "object_centre_m": float(np.linalg.norm(real.object_centre_m)),
         "torque_constant": float(np.linalg.norm([k - 1.0 for a in arms for k in a.torque_constant])),
-        "pads_N_per_m": real.pads_N_per_m or 0.0,
-        "pads_Nm_per_rad": real.pads_Nm_per_rad or 0.0,
+        **{key: _pads(real, key) for key in STIFFNESSES},
         "backlash_rad": float(np.linalg.norm([b for a in arms for b in a.backlash_rad])),
         "delay_jitter_s": real.delay_jitter_s,
         "breakaway_Nm": float(np.linalg.norm([b for a in arms for b in a.breakaway_Nm])),
@@ -151,6 +150,12 @@ def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
         **{name: float(np.mean(values)) for name, values in scales.items()},
         **{f"{name}_off": float(np.mean([abs(x - 1.0) for x in values])) for name, values in scales.items()},
     }
+
+
+def _pads(real: Reality, key: str) -> float:
+    """Stiffness of the grasps, of unlike ones their geometric mean."""
+    each = [getattr(arm, key) or getattr(real, key) or 0.0 for arm in real.arms.values()]
+    return each[0] if len(set(each)) == 1 else float(np.prod(np.array(each) ** (1.0 / len(each))))
 
 
 def _disagreement(values: Sequence[tuple[float, float, float]]) -> float:

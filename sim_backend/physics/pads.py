@@ -6,6 +6,8 @@ on the object, at the grasp, is K (φ − s) + C φ̇; s is what has slipped, an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drivers.interface import Vector
@@ -19,10 +21,14 @@ _FORCE, _MOMENT = slice(None, 3), slice(3, None)
 class Pads:
     """The pads of N grasps; (N, 6) arrays, arm after arm."""
 
-    def __init__(self, spec: GraspSpec, swinging: Vector) -> None:
-        """swinging: (N, 6) kg, kg·m²: inertia with which an arm swings on its pad, which the damping is tuned to."""
+    def __init__(self, spec: GraspSpec, swinging: Vector, own: Sequence[tuple[float | None, float | None]]) -> None:
+        """swinging: (N, 6) kg, kg·m²: inertia with which an arm swings on its pad, which the damping is tuned to.
+
+        own: stiffnesses of each arm's pad, N/m and N·m/rad; None: those of spec.
+        """
         self._spec = spec
-        self.K = np.tile([spec.stiffness_N_per_m] * 3 + [spec.stiffness_Nm_per_rad] * 3, (len(swinging), 1))
+        pads = [(k_t or spec.stiffness_N_per_m, k_r or spec.stiffness_Nm_per_rad) for k_t, k_r in own]
+        self.K = np.repeat(np.array(pads), 3, axis=1)
         self.C = damping(self.K, swinging, spec.damping_ratio)
         self.closed = np.ones((len(swinging), 1))
         self.slipped = np.zeros_like(self.K)  # world axes

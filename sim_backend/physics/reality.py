@@ -39,6 +39,8 @@ class ArmReality:
     load_friction: tuple[float, ...] = ()  # per N·m of the motor, whatever is believed
     torque_constant: tuple[float, ...] = ()  # of the servos, times what is believed
     backlash_rad: tuple[float, ...] = ()  # of the gears, from one end of the gap to the other
+    pads_N_per_m: float | None = None  # of its own grasp; None: as the others
+    pads_Nm_per_rad: float | None = None
     skew_s: float = 0.0  # by which its clock, and so its trajectory, is ahead
 
 
@@ -77,7 +79,13 @@ def realised(believed: PlantSpec, reality: Reality) -> PlantSpec:
     moved = tuple(
         take_hold(arm, body) if _is_moved(reality.arms.get(arm.name)) else arm for arm in arms
     )  # an arm without an error keeps its start pose to the bit
-    return replace(believed, arms=moved, object=body, grasp=_pads(believed.grasp, reality))
+    grasp = _pads(believed.grasp, reality)
+    if grasp is None and (own := [arm.name for arm in arms if any(arm.pads)]):
+        raise PlantError(
+            f"reality of arm {own[0]}: pads", found="grasps that are welded",
+            expected="pads of the cell, of which this arm has others", remedy="give the cell's pads as well",
+        )  # fmt: skip
+    return replace(believed, arms=moved, object=body, grasp=grasp)
 
 
 def _is_moved(arm: ArmReality | None) -> bool:
@@ -94,6 +102,7 @@ def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
         actuator=_actuator(arm, real, reality),
         friction=_friction(arm, real),
         masses=real.masses * arm.masses,
+        pads=(real.pads_N_per_m, real.pads_Nm_per_rad),
         skew_s=arm.skew_s + real.skew_s,
     )
 

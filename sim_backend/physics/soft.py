@@ -59,7 +59,7 @@ class SoftPlant:
         self._T = spec.object.T_world_object
         self._q: Vector = np.concatenate([a.q_start for a in spec.arms])
         self._h = spec.substep_s
-        self._pads = Pads(spec.grasp, self._arms.swinging(self._q))
+        self._pads = Pads(spec.grasp, self._arms.swinging(self._q), [arm.pads for arm in spec.arms])
         self._push: Vector = np.zeros(6)
         self._tau_motor, self._joint = np.zeros((2, J))
         self._acted: tuple[Vector, Vector | None] = (np.zeros(J), None)  # friction of the last substep

@@ -94,6 +94,7 @@ class ArmSpec:
     actuator: ActuatorSpec
     friction: FrictionSpec | None = None  # with presliding, in place of the actuator's smooth friction
     masses: float = 1.0  # of the links, times what the URDF says; their inertia with them
+    pads: tuple[float | None, float | None] = (None, None)  # N/m, N·m/rad of its grasp; None: as the cell's
     skew_s: float = 0.0  # by which this arm's clock is ahead of the plant's
 
     def __post_init__(self) -> None:
@@ -136,6 +137,11 @@ class ArmSpec:
                 expected="a positive factor and a finite time",
                 remedy="correct the arm's reality",
             )
+        if not all(k is None or (math.isfinite(k) and k > 0.0) for k in self.pads):
+            raise PlantError(
+                f"arm {self.name}: pads", found=self.pads, expected="finite positive stiffnesses",
+                remedy="correct the arm's reality",
+            )  # fmt: skip
         object.__setattr__(self, "locked_rad", MappingProxyType(dict(self.locked_rad)))
 
 
@@ -169,7 +175,7 @@ class ObjectSpec:
 
 @dataclass(frozen=True)
 class GraspSpec:
-    """Finger pads: springs and dampers between end effector and object, alike for every arm.
+    """Finger pads: springs and dampers between end effector and object, for every arm that has none of its own.
 
     With `slip_N` or `slip_Nm` a spring gives way at that force or moment, and the grasp opens for good once it has
     slipped by `open_m`.

@@ -1,7 +1,8 @@
 """`make campaign`: random gains, pads and delays; no combination that the criterion accepts diverges in simulation.
 
 CAMPAIGN_N: combinations (default 200).  CAMPAIGN_SEED: of the first one (0).  CAMPAIGN_CELLS: names, with commas.
-CAMPAIGN_ADAPTIVE=0: without the adaptive law's runs (tests.campaign.adaptive).
+CAMPAIGN_ADAPTIVE=0: without the adaptive law's runs (tests.campaign.adaptive).  CAMPAIGN_UNLIKE=1: each arm on a pad
+of its own, of which the criterion sees the range from the softest to the stiffest.
 The criterion sees the drawn pads and delay with its usual errors of inertia; the plant draws all other errors from the
 cell's `[tolerance]`.  A run diverges when the object is lost, or strained by more than 10 N once it has settled.
 """
@@ -34,6 +35,7 @@ CELLS: Final = "paper_real,two_wx200,two_models,three_wx250s"
 DURATION_S: Final = 3.0
 STRAINED_N: Final = 10.0
 OBSERVERS: Final = ((0.01, 0.08, 0.3), (0.4, 0.5, 6.0))  # least and most: of position, of velocity, and the slope
+LINEAR, ANGULAR = (1e3, 1e6), (5.0, 1e3)  # N/m, N·m/rad of pads
 QUIET: Final = ("safety.noticing.enabled=false", f"safety.monitors.off={[name.value for name in Name]}")
 
 
@@ -88,24 +90,28 @@ def combination(name: str, seed: int) -> Combination:
     """One draw, judged and run."""
     rng = np.random.default_rng(seed)
     cell, words = changed(name, rng)
-    pads = math.exp(rng.uniform(*np.log((1e3, 1e6)))), math.exp(rng.uniform(*np.log((5.0, 1e3))))
+    count = len(cell.arms) if os.environ.get("CAMPAIGN_UNLIKE") == "1" else 1
+    linear, angular = ([math.exp(rng.uniform(*np.log(span))) for _ in range(count)] for span in (LINEAR, ANGULAR))
     late = float(rng.uniform(0.5, 1.5)) * cell.file.delay_periods
     models = [cell.model(arm) for arm in cell.arms]
     walk = Walk(cell, models, [start_configurations(cell, models)], [0.0])
     ranges = replace(
         ranges_of(cell),
         delay_periods=(late, late, late),
-        pads_N_per_m=(pads[0], pads[0]),
-        pads_Nm_per_rad=(pads[1], pads[1]),
+        pads_N_per_m=(min(linear), max(linear)),
+        pads_Nm_per_rad=(min(angular), max(angular)),
     )
     radius = examine(poses(walk), loop_of(cell), ranges).radius
     real = draw(cell.file.tolerance, seed, cell)
-    reality = real.model_copy(
-        update={"pads_N_per_m": pads[0], "pads_Nm_per_rad": pads[1], "delay_s": late / cell.file.rate_hz}
-    )
+    own = [{"pads_N_per_m": k_t, "pads_Nm_per_rad": k_r} for k_t, k_r in zip(linear, angular, strict=True)]
+    arms = real.arms
+    if count > 1:
+        arms = {name: arm.model_copy(update=of) for (name, arm), of in zip(arms.items(), own, strict=True)}
+    reality = real.model_copy(update={**own[0], "delay_s": late / cell.file.rate_hz, "arms": arms})
     found = measure(Laboratory(cell), reality)
     strained = found.internal_force_max_N is not None and found.internal_force_max_N > STRAINED_N
-    words += f"; pads {pads[0]:.2g} N/m, {pads[1]:.2g} N·m/rad; delay {late:.2f} periods"
+    k_t, k_r = (", ".join(f"{k:.2g}" for k in values) for values in (linear, angular))
+    words += f"; pads {k_t} N/m, {k_r} N·m/rad; delay {late:.2f} periods"
     return Combination(name, seed, radius, bool(found.lost or strained), words)
 
 

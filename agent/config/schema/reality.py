@@ -22,6 +22,8 @@ Times = Annotated[float, Field(ge=0.05, le=20.0)]  # what the files say
 Seconds = Annotated[float, Field(ge=0.0, le=0.5)]
 Rub = Annotated[float, Field(ge=0.0, le=20.0)]  # N·m
 LoadPart = Annotated[float, Field(ge=0.0, le=0.9)]  # of the motor's torque
+Stiffness = Annotated[float, Field(ge=10.0, le=1e8)]
+Twist = Annotated[float, Field(ge=0.01, le=1e6)]  # N·m/rad
 STIFFNESSES: Final = ("pads_N_per_m", "pads_Nm_per_rad")
 NOTHING = (0.0, 0.0, 0.0)
 PER_JOINT: Final = ("zeros_rad", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad")
@@ -54,6 +56,10 @@ class ArmReality(Strict):
     """True over believed, one per controlled joint; empty: no error."""
     backlash_rad: Annotated[tuple[Gap, ...], AS_LIST] = ()
     """Of its gears, from one end of the gap to the other, one per controlled joint; empty: none."""
+    pads_N_per_m: Stiffness | None = None
+    """Stiffness of its own finger pads; none: as the other arms'."""
+    pads_Nm_per_rad: Twist | None = None
+    """The same in rotation."""
     skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """By which its clock, and so its trajectory, is ahead."""
 
@@ -67,9 +73,9 @@ class Reality(Strict):
     """Times the object's mass and inertia."""
     object_centre_m: Offsets = NOTHING
     """True centre of mass less the object's frame, object axes."""
-    pads_N_per_m: Annotated[float, Field(ge=10.0, le=1e8)] | None = None
+    pads_N_per_m: Stiffness | None = None
     """Stiffness of finger pads; none: [simulation.grasp], without which it goes with the other stiffness."""
-    pads_Nm_per_rad: Annotated[float, Field(ge=0.01, le=1e6)] | None = None
+    pads_Nm_per_rad: Twist | None = None
     """The same in rotation."""
     pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     """Of an arm that swings on its pad."""
@@ -90,6 +96,13 @@ class Reality(Strict):
                 f"simulation.reality.{given[0]}", found=f"{' and '.join(given)} without {' and '.join(lacking)}",
                 expected="both stiffnesses where the cell's grasps are welded",
                 remedy=f"give {' and '.join(lacking)} as well, or add [simulation.grasp], or leave all of these out",
+            )  # fmt: skip
+        own = [f"arms.{name}.{key}" for name, arm in self.arms.items() for key in STIFFNESSES if getattr(arm, key)]
+        if welded and self.seed is None and own and lacking:
+            raise wrong(
+                f"simulation.reality.{own[0]}", found="grasps that are welded",
+                expected="pads of the cell, of which this arm has others",
+                remedy=f"give simulation.reality.{' and '.join(STIFFNESSES)} as well, or add [simulation.grasp]",
             )  # fmt: skip
 
     def require_delay(self, believed_s: float, tolerance: Tolerance, rate_hz: float) -> None:

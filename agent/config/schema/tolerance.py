@@ -13,6 +13,7 @@ from typing import Annotated, Final
 from pydantic import AfterValidator, Field
 
 from agent.config.schema.types import AS_LIST, Strict, wrong
+from drivers.pads import DAMPING_RATIO
 
 ZEROS_PLANAR_RAD: Final = math.radians(0.5)
 ZEROS_SPATIAL_RAD: Final = math.radians(0.1)  # six joints add up what three do not
@@ -82,7 +83,9 @@ class Tolerance(Strict):
     """Stiffness of a grasp, from to."""
     pads_Nm_per_rad: Annotated[tuple[Angular, Angular], AS_LIST, AfterValidator(_ascending)] = (5.0, 1e3)
     """The same in rotation."""
-    pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25
+    pads_alike: bool = True
+    """Whether all grasps of a reality are of one stiffness; false: each is drawn for itself."""
+    pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = DAMPING_RATIO
     """Of an arm that swings on its pad."""
     delay: Factors = (0.8, 1.25)
     """Times the loop's delay, from to."""

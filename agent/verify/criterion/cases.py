@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.control.errors import Gains
 from agent.control.estimator import Observer
+from drivers.pads import DAMPING_RATIO
 
 SOFTER_LINEAR, SOFTER_ANGULAR = 10.0, 5.0  # than the softest stated pad
 
@@ -68,7 +69,7 @@ class Ranges:
     friction: float = 0.6  # least, of the viscous friction
     pads_N_per_m: tuple[float, float] = (1e3, 1e6)
     pads_Nm_per_rad: tuple[float, float] = (5.0, 1e3)
-    pads_damping_ratio: float = 0.25
+    pads_damping_ratio: float = DAMPING_RATIO
 
     def __post_init__(self) -> None:
         for low, high in (self.pads_N_per_m, self.pads_Nm_per_rad, (1.0, 1.0 + self.inertia_error)):

@@ -55,6 +55,8 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("simulation.reality.object", 0.05, 20.0),
     ("simulation.reality.object_centre_m", -0.1, 0.1),
     ("simulation.reality.pads_N_per_m", 10.0, 1e8),
+    ("simulation.reality.arms.left.pads_N_per_m", 10.0, 1e8),
+    ("simulation.reality.arms.left.pads_Nm_per_rad", 0.01, 1e6),
     ("simulation.reality.pads_Nm_per_rad", 0.01, 1e6),
     ("simulation.reality.pads_damping_ratio", 0.0, 10.0),
     ("simulation.reality.delay_s", 0.0, 0.5),
@@ -128,6 +130,10 @@ BESIDE = {  # what else the ends of a range need
     "rate_hz": ("simulation.substeps_per_cycle=9",),
     "simulation.reality.pads_N_per_m": ("simulation.reality.pads_Nm_per_rad=50.0",),
     "simulation.reality.pads_Nm_per_rad": ("simulation.reality.pads_N_per_m=1e4",),
+    **dict.fromkeys(
+        (f"simulation.reality.arms.left.{key}" for key in ("pads_N_per_m", "pads_Nm_per_rad")),
+        ("simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=50.0"),
+    ),
     "simulation.reality.pads_damping_ratio": ("simulation.grasp={stiffness_N_per_m=1e4, stiffness_Nm_per_rad=50.0}",),
 }
 

@@ -147,6 +147,24 @@ def test_breakaway_and_load_are_drawn_up_to_what_is_stated_each_by_itself_and_ch
     assert made.friction.load.tolist() == list(drawn[3].arms[made.name].load_friction)
 
 
+def test_grasps_are_alike_unless_the_cell_says_that_each_is_its_own() -> None:
+    alike, unlike = (cell("three_wx250s", *more) for more in ((), ("tolerance.pads_alike=false",)))
+    drawn = [draw(unlike.file.tolerance, seed, unlike) for seed in range(40)]
+    for key, (low, high) in (
+        ("pads_N_per_m", alike.tolerance.pads_N_per_m),
+        ("pads_Nm_per_rad", alike.tolerance.pads_Nm_per_rad),
+    ):
+        each = [getattr(arm, key) for r in drawn for arm in r.arms.values()]
+        assert len(set(each)) == 40 * 3
+        assert low <= min(each) < 1.3 * low
+        assert 0.75 * high < max(each) <= high
+    plain = draw(alike.file.tolerance, 3, alike)
+    same = {n: a.model_copy(update={"pads_N_per_m": None, "pads_Nm_per_rad": None}) for n, a in drawn[3].arms.items()}
+    assert drawn[3].model_copy(update={"arms": same}) == plain
+    made = plant_spec(cell("three_wx250s", "tolerance.pads_alike=false", f"{REAL}seed=3"), start_joints(unlike))
+    assert [arm.pads for arm in made.arms] == [(a.pads_N_per_m, a.pads_Nm_per_rad) for a in drawn[3].arms.values()]
+
+
 def test_joints_that_do_not_rub_and_files_that_have_such_friction_draw_none() -> None:
     smooth = cell("paper", *RUBBING, "simulation.effects.friction=false")
     c = cell("paper", *RUBBING)
@@ -266,6 +284,8 @@ def test_joints_that_do_not_rub_are_given_no_friction(key: str) -> None:
         (f"{REAL}pads_N_per_m=1e4", "found pads_N_per_m without pads_Nm_per_rad, expected both stiffnesses"),
         (f"{REAL}pads_Nm_per_rad=9.0", "; give pads_N_per_m as well, or add [simulation.grasp]"),
         (f"{REAL}pads_damping_ratio=0.3", "pads_damping_ratio without pads_N_per_m and pads_Nm_per_rad"),
+        (f"{REAL}arms.left.pads_N_per_m=1e4", "found grasps that are welded, expected pads of the cell, of which this"),
+        (f"{REAL}arms.left.pads_Nm_per_rad=9.0", "; give simulation.reality.pads_N_per_m and pads_Nm_per_rad as well"),
         (f"{REAL}delay_jitter_s=0.4", "found 0.4 s, expected below half a period, 0.0025 s"),
         (f"{REAL}delay_jitter_s=0.0025", "below half a period, 0.0025 s"),
     ],

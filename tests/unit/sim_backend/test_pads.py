@@ -42,6 +42,19 @@ def test_pad_holds_below_its_bound_and_slips_above_for_good() -> None:
     assert np.linalg.norm(seen.grasp_wrench[0, :3]) < 1e-3
 
 
+def test_of_two_arms_the_one_on_the_softer_pad_is_stretched_more() -> None:
+    spec = replace(planar_cell(viscous(3)), gravity=np.zeros(3))
+    unlike = replace(spec, arms=(replace(spec.arms[0], pads=(1e3, None)), spec.arms[1]))
+    plant = soft(unlike, GraspSpec(4e3, 20.0, damping_ratio=1.0))
+    for arm in unlike.names:
+        plant.brake(arm, 1e6)
+    plant.push(np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    plant.advance(np.zeros(6), 1000)
+    seen = plant.observe(np.zeros(6))
+    assert seen.contact_error_m == pytest.approx([1e-3, 1e-3], rel=1e-3), "one object is where it is"
+    assert seen.grasp_wrench[:, 0] == pytest.approx([-1.0, -4.0], rel=1e-3)
+
+
 def test_pad_that_has_slipped_too_far_opens() -> None:
     plant, tau = pulled(GraspSpec(2e3, 20.0, damping_ratio=1.0, slip_N=4.0, open_m=5e-3), 8.0)
     plant.advance(tau, 400)
@@ -61,7 +74,7 @@ def test_pad_slips_under_a_moment() -> None:
 
 
 def two_pads(**bounds: float) -> Pads:
-    return Pads(GraspSpec(100.0, 10.0, damping_ratio=0.25, **bounds), np.ones((2, 6)))
+    return Pads(GraspSpec(100.0, 10.0, damping_ratio=0.25, **bounds), np.ones((2, 6)), [(None, None)] * 2)
 
 
 def test_each_pad_slips_by_itself_in_its_own_direction() -> None:

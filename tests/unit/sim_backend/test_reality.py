@@ -196,6 +196,20 @@ def test_pads_replace_welds_and_keep_what_a_cell_says_of_slipping() -> None:
         realised(spec, Reality(pads_N_per_m=2e3))
 
 
+def test_an_arm_s_own_pads_are_its_alone() -> None:
+    spec = replace(planar_cell(), grasp=GraspSpec(1e5, 100.0))
+    left = realised(spec, Reality(arms={"left": ArmReality(pads_N_per_m=2e3, pads_Nm_per_rad=7.0)}))
+    assert left.grasp == spec.grasp
+    assert [arm.pads for arm in left.arms] == [(2e3, 7.0), (None, None)]
+    assert SoftPlant(left)._pads.K.tolist() == [[2e3] * 3 + [7.0] * 3, [1e5] * 3 + [100.0] * 3]
+    turned = realised(spec, Reality(pads_N_per_m=3e4, arms={"right": ArmReality(pads_Nm_per_rad=7.0)}))
+    assert SoftPlant(turned)._pads.K.tolist() == [[3e4] * 3 + [100.0] * 3, [3e4] * 3 + [7.0] * 3]
+    with pytest.raises(PlantError, match=r"reality of arm left: pads: found grasps that are welded"):
+        realised(planar_cell(), Reality(arms={"left": ArmReality(pads_N_per_m=2e3)}))
+    with pytest.raises(PlantError, match="arm left: pads"):
+        realised(spec, Reality(arms={"left": ArmReality(pads_N_per_m=-1.0)}))
+
+
 def test_what_is_not_there_is_refused() -> None:
     spec = planar_cell()
     with pytest.raises(PlantError, match="middle"):

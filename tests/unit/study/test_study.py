@@ -552,6 +552,17 @@ def test_errors_are_measured_as_disagreement_and_distance_from_one() -> None:
     assert (found["backlash_rad"], found["delay_jitter_s"]) == (0.0, 0.0)
 
 
+def test_unlike_pads_enter_as_their_geometric_mean() -> None:
+    c = cell("tolerance.pads_alike=false")
+    real = draw(c.file.tolerance, 3, c)
+    left, right = (arm.pads_N_per_m for arm in real.arms.values())
+    assert left is not None
+    assert right is not None
+    assert errors_of(real, c)["pads_N_per_m"] == pytest.approx(math.sqrt(left * right))
+    plain = draw(cell().file.tolerance, 3, cell())
+    assert errors_of(plain, c)["pads_N_per_m"] == plain.pads_N_per_m
+
+
 def test_errors_that_a_study_draws_where_they_are_stated_are_in_its_table_and_among_what_matters() -> None:
     c = cell(
         "tolerance.backlash_rad=0.006", "tolerance.delay_jitter_s=0.002",
