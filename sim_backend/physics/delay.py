@@ -1,7 +1,8 @@
 """When a torque acts: a whole number of control periods and a part of one after the sample it answers, to the substep.
 
 Within the substep in which one torque takes over from the one before, the mean of both over that substep acts, so that
-the impulse is that of the exact instant.  A delay may differ from tick to tick, the same in every run.
+the impulse is that of the exact instant.  A delay may differ from tick to tick, the same in every run of one jitter:
+another size of it, which another reality draws, is another sequence.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorError, ActuatorSpec
 
 WHOLE_TOLERANCE = 1e-6  # substeps
+JITTER_UNIT_S = 1e-12  # jitters that differ by more are other sequences
 JITTER_TICKS = 4096  # after so many ticks the sequence of a delay that jitters begins again
 
 
@@ -43,7 +45,8 @@ class DelayLine:
         self._switch = earliest - substeps * self.periods  # substeps of a tick before the newer torque can take over
         self._lates: list[float] = []  # of the ticks, in substeps, where they differ
         if jitter > 0.0:
-            self._lates = (late + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, JITTER_TICKS)).tolist()
+            rng = np.random.default_rng([seed, round(jitter_s / JITTER_UNIT_S)])
+            self._lates = (late + jitter * rng.uniform(-1.0, 1.0, JITTER_TICKS)).tolist()
         self._rows = np.zeros((int((late + jitter) // substeps) + 3, joint_count))
 
     @classmethod

@@ -109,6 +109,9 @@ def test_jitter_is_the_same_for_the_same_seed_and_none_without() -> None:
     commands = list(np.arange(1.0, 60.0))
     assert jittered(0.001, commands) == jittered(0.001, commands)
     assert jittered(0.001, commands) != jittered(0.001, commands, seed=2)
+    lates = [np.array(DelayLine(0.0055, SUBSTEP_S, SUBSTEPS, 1, jitter_s=j)._lates) for j in (1e-3, 1.1e-3)]
+    parts = [(late - 5.5) / j for late, j in zip(lates, (1.0, 1.1), strict=True)]
+    assert abs(np.corrcoef(*parts)[0, 1]) < 0.1, "another reality, another sequence"
     np.testing.assert_allclose(jittered(1e-12, commands), jittered(0.0, commands), rtol=1e-8)
 
 
