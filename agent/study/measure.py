@@ -17,14 +17,13 @@ from agent.report.loss import LOST_M, is_lost
 from agent.report.series import internal_wrenches, largest_force, largest_or_zero
 from agent.study.fault import Fault
 from agent.study.lab import Laboratory, Run
+from agent.verify.disagreement import mean_bound_N
 from drivers.interface import DriverError, Vector
 from sim_backend.physics.spec import PlantError
 
 AFTER_TRIP_S: Final = 3.0  # how long a run goes on once an arm has given up following
 POSITION_BEYOND_ANCHOR_M: Final = 1e-3  # bounds: beyond what the anchor sees wrongly itself
 ATTITUDE_BEYOND_ANCHOR_RAD: Final = 6e-3
-FORCE_PLANAR_N: Final = 1.0
-FORCE_SPATIAL_N: Final = 4.0
 PEAK_FRACTION: Final = 0.5  # of stall
 
 
@@ -33,7 +32,7 @@ def bounds_of(cell: Cell) -> dict[str, float]:
     return {
         "position_beyond_anchor_m": POSITION_BEYOND_ANCHOR_M,
         "attitude_beyond_anchor_rad": ATTITUDE_BEYOND_ANCHOR_RAD,
-        "internal_force_mean_N": FORCE_PLANAR_N if cell.planar else FORCE_SPATIAL_N,
+        "internal_force_mean_N": mean_bound_N(cell),
         "peak_torque_fraction": PEAK_FRACTION,
     }
 

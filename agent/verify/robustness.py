@@ -18,7 +18,7 @@ from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
 from agent.verify.criterion.examine import Criterion, Found, examine
-from agent.verify.disagreement import Disagreement, disagreement, start_off
+from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, mean_bound_N, start_off
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.loads import Load, Loads
 from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
@@ -138,12 +138,13 @@ class Robustness:
         return [*findings, self._margin(otherwise), *failed, *self._internal(), *self.reach, *_unseen(cell)]
 
     def _internal(self) -> list[Finding]:
+        usual_N = mean_bound_N(self.walk.cell) / MEAN_SHARE
         return [
             judged(
                 "internal wrench at the stated tolerance", arm.name,
                 f"{d.force_N:.2g} N, {d.moment_Nm:.2g} N·m (quadratic sum)",
-                "" if (grip := arm.entry.grip_force_max_N) is None else f"≤ {grip:g} N",
-                holds=grip is None or d.force_N <= grip, otherwise=Verdict.WARNING,
+                f"≤ {(most := min(usual_N, arm.entry.grip_force_max_N or math.inf)):g} N",
+                holds=d.force_N <= most, otherwise=Verdict.WARNING,
                 remedy="calibrate better and say so in [tolerance], let arms align themselves, or take softer gains",
             )
             for arm, d in zip(self.walk.cell.arms, self.disagreement, strict=False)

@@ -112,11 +112,11 @@ def test_the_anchor_of_the_cell_is_the_one_that_counts() -> None:
     [
         ("POSITION_BEYOND_ANCHOR_M", -1.0),
         ("ATTITUDE_BEYOND_ANCHOR_RAD", -1.0),
-        ("FORCE_PLANAR_N", 0.0),
+        ("mean_bound_N", lambda _: 0.0),
         ("PEAK_FRACTION", 0.01),
     ],
 )
-def test_each_bound_decides(lab: Laboratory, monkeypatch: pytest.MonkeyPatch, bound: str, value: float) -> None:
+def test_each_bound_decides(lab: Laboratory, monkeypatch: pytest.MonkeyPatch, bound: str, value: object) -> None:
     assert measure(lab, None).within_bounds
     monkeypatch.setattr(measuring, bound, value)
     assert not measure(lab, None).within_bounds

@@ -77,6 +77,40 @@ def test_within_the_bound_it_is_said_by_which_error_an_arm_that_nobody_notices_i
     assert found.found.endswith(f" s); noticing is off: {until}")
 
 
+@pytest.mark.parametrize(
+    ("name", "more", "wanted", "verdict"),
+    [
+        ("paper_real", ("controller.alignment.enabled=true",), "≤ 2 N", Verdict.OK),
+        ("paper_real", (), "≤ 2 N", Verdict.WARNING),
+        ("paper_real", ("controller.alignment.enabled=true", "tolerance.zeros_rad=0.05"), "≤ 2 N", Verdict.WARNING),
+        (
+            "paper_real",
+            ("controller.alignment.enabled=true", "tolerance.friction=[0.0, 10.0]"),
+            "≤ 2 N",
+            Verdict.WARNING,
+        ),
+        (
+            "paper_real",
+            ("controller.alignment.enabled=true", "tolerance.torque_constant=0.8"),
+            "≤ 2 N",
+            Verdict.WARNING,
+        ),
+        (
+            "paper_real",
+            ("controller.alignment.enabled=true", "arms.left.grip_force_max_N=1.6"),
+            "≤ 1.6 N",
+            Verdict.WARNING,
+        ),
+        ("three_wx250s", (), "≤ 8 N", Verdict.OK),
+    ],
+)
+def test_an_internal_wrench_that_tolerances_may_make_is_judged_whether_it_breaks_the_loop_or_not(
+    name: str, more: tuple[str, ...], wanted: str, verdict: Verdict
+) -> None:
+    found = of_left(looked_at(cell_of, name, *more))["internal wrench at the stated tolerance"]
+    assert (found.wanted, found.verdict) == (wanted, verdict), found
+
+
 def test_jitter_counts_as_delay_and_backlash_is_said_to_count_nowhere() -> None:
     plain, worn = (ranges_of(gentle("paper", *more)).delay_periods for more in ((), ("tolerance.delay_jitter_s=1e-3",)))
     assert plain == (0.8, 1.0, 1.25)
