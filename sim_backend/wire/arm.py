@@ -73,6 +73,14 @@ class EmulatedArm:
                 start = joint.start_rad, 0.0, joint.inertia_kg_m2, joint.coulomb_Nm, joint.viscous_Nm_s_per_rad
                 free = FreeJoint(*start) if joint.fingers is None else FingerJoint(*start, fingers=joint.fingers)
             self.joints.append(MountedJoint(joint.name, mounts, joint.index, free))
+        self._moved = [  # what `sense` needs of each joint, which is asked a thousand times a second
+            (
+                -1 if joint.index is None else joint.index,
+                joint.free,
+                [(m, m.servo.firmware.body.horn) for m in joint.mounts],
+            )
+            for joint in self.joints
+        ]
         self.bus = Bus(servos, timing, bus_options)
         self._since_supervised_s = 0.0
         self._count = 1 + max((j.index for j in self.joints if j.index is not None and j.free is None), default=-1)
@@ -97,15 +105,14 @@ class EmulatedArm:
 
     def sense(self, q_rad: Sequence[float], dq_rad_per_s: Sequence[float], lead_s: float) -> None:
         """Turn the horns to joints that are at q_rad and have moved on for `lead_s` since."""
-        for joint in self.joints:
-            if joint.free is not None:
-                q, dq = joint.free.q_rad, joint.free.dq_rad_per_s
+        for index, free, mounts in self._moved:
+            if free is not None:
+                q, dq = free.q_rad, free.dq_rad_per_s
             else:
-                assert joint.index is not None
-                q, dq = q_rad[joint.index], dq_rad_per_s[joint.index]
+                q, dq = q_rad[index], dq_rad_per_s[index]
             q += dq * lead_s
-            for mount in joint.mounts:
-                horn, sign = mount.servo.firmware.body.horn, mount.sign
+            for mount, horn in mounts:
+                sign = mount.sign
                 horn.position_rad = sign * (q + mount.offset_rad)
                 horn.velocity_rad_per_s = sign * dq
 

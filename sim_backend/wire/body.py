@@ -69,7 +69,7 @@ class Body:
         horn, sign = self.horn, self.sign
         velocity = sign * horn.velocity_rad_per_s
         if alive:
-            self.drive.step(dt_s, self.position_tick(), velocity, horn.supply_V)
+            self.drive.step(dt_s, self.position_tick, velocity, horn.supply_V)
         else:
             self.motor.open()
             self.motor.heat(dt_s)

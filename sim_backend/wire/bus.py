@@ -106,7 +106,9 @@ class Bus:
 
     def tick(self, now_ns: int) -> int:
         """Let bus watchdogs fire; return how many did."""
-        fired = sum(servo.firmware.check_watchdog(now_ns) for servo in self.servos)
+        fired = 0
+        for servo in self.servos:
+            fired += servo.firmware.check_watchdog(now_ns)
         self.counters.watchdog_trips += fired
         return fired
 

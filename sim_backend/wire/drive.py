@@ -7,6 +7,7 @@ millisecond.  Feedforward gains are stored but have no effect.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -111,14 +112,14 @@ class Drive:
         """True while the trajectory has not reached its goal."""
         return self._since_s < self.profile.total_s
 
-    def step(self, dt_s: float, position_tick: float, velocity_rad_per_s: float, supply_V: float) -> None:
-        """Run the controllers for `dt_s` and leave current and duty in the motor."""
+    def step(self, dt_s: float, position_tick: Callable[[], float], velocity_rad_per_s: float, supply_V: float) -> None:
+        """Run the controllers for `dt_s` and leave current and duty in the motor; some ask for the position."""
         self._since_s += dt_s
         motor, goals = self.motor, self.goals
         if not self.torque_on or supply_V <= 0.0:
             motor.open()
         elif self.stop is not None:
-            self._stopped(dt_s, position_tick, velocity_rad_per_s, supply_V)
+            self._stopped(dt_s, position_tick(), velocity_rad_per_s, supply_V)
         elif goals.mode is OperatingMode.CURRENT:
             self._current(goals.current, supply_V, velocity_rad_per_s)
         elif goals.mode is OperatingMode.PWM:
@@ -127,7 +128,7 @@ class Drive:
             self._velocity(dt_s, goals.velocity, supply_V, velocity_rad_per_s)
         else:
             target, _ = self.profile.sample(self._since_s)
-            self._position(dt_s, target, position_tick, velocity_rad_per_s, supply_V)
+            self._position(dt_s, target, position_tick(), velocity_rad_per_s, supply_V)
         motor.heat(dt_s)
 
     def _duty(self, pwm: float) -> float:

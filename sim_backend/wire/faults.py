@@ -149,6 +149,11 @@ class FaultSchedule:
     def __init__(self) -> None:
         self._entries: list[Scheduled] = []
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether none runs and none is to come."""
+        return not self._entries
+
     def add(self, faults: Iterable[Fault], now_ns: int) -> None:
         """Plan faults from now on."""
         for fault in faults:

@@ -73,6 +73,8 @@ class Injector:
 
     def tick(self, now_ns: int) -> None:
         """Begin, end and continue what is due."""
+        if self._schedule.is_empty:  # then nothing babbles, either
+            return
         begin, end = self._schedule.poll(now_ns)
         self._end(end)
         self._begin(begin)

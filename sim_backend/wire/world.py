@@ -46,6 +46,8 @@ class FreeJoint:
         drag = self.viscous_Nm_s_per_rad
         if self.coulomb_Nm:
             drag += self.coulomb_Nm / math.hypot(self.dq_rad_per_s, self.knee_rad_per_s)
-        momentum = self.inertia_kg_m2 * self.dq_rad_per_s + dt_s * (tau_Nm - self.gravity_Nm * math.sin(self.q_rad))
+        if self.gravity_Nm:
+            tau_Nm -= self.gravity_Nm * math.sin(self.q_rad)
+        momentum = self.inertia_kg_m2 * self.dq_rad_per_s + dt_s * tau_Nm
         self.dq_rad_per_s = momentum / (self.inertia_kg_m2 + dt_s * drag)
         self.q_rad += dt_s * self.dq_rad_per_s
