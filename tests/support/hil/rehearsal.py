@@ -134,7 +134,7 @@ class Rehearsal:
         line = Line(self._physics, index, self._injectors[index], self.clock)
         port = self.ports[arm.name] = VirtualPort(line, arm.baud)
         real = LossyDriver(
-            arm_map(self.cell, arm, "virtual", q_start), self.clock, on_event=run.events.append, scan_s=0.05, port=port
+            arm_map(self.cell, arm, "virtual", q_start), self.clock, on_event=run.events.append, scan_s=0.02, port=port
         )
         real.lost = self._late[1]
         twin = VirtualTwin(seat, *self._late)

@@ -162,7 +162,7 @@ class CoupledRun:
         line = Line(self._emulated, index, self._injectors[index], self._clock)
         servos = arm_map(self._cell, arm, "virtual", q_start)
         port = run.port = VirtualPort(line, arm.baud)
-        driver = run.driver = Blinking(servos, self._clock, on_event=run.events.append, scan_s=0.05, port=port)
+        driver = run.driver = Blinking(servos, self._clock, on_event=run.events.append, scan_s=0.02, port=port)
         driver.connect()
         driver.enable()
         around = Surroundings(

@@ -233,7 +233,7 @@ def build(
 def driver_on(rig: Rig, port: VirtualPort | None = None) -> DynamixelDriver:
     """Another driver for the same arm."""
     port = port or VirtualPort(rig.line, rig.arm.baud)
-    return DynamixelDriver(rig.arm, rig.clock, on_event=rig.events.append, scan_s=0.05, port=port)
+    return DynamixelDriver(rig.arm, rig.clock, on_event=rig.events.append, scan_s=0.02, port=port)
 
 
 def enabled(arm: ArmMap = WX200, **more) -> Rig:

@@ -222,7 +222,7 @@ class FloatRun:
         run.port = VirtualPort(line, arm.baud)
         texts: Any = run.texts
         tell = Teller(arm.name, texts)
-        run.driver = DynamixelDriver(floats.servos("virtual"), clock, scan_s=0.05, port=run.port)
+        run.driver = DynamixelDriver(floats.servos("virtual"), clock, scan_s=0.02, port=run.port)
         run.driver.connect()
         tell.clock = clock
         if not floats.moves:

@@ -111,7 +111,7 @@ class GuardedRun(CoupledRun):
         servos = arm_map(self._cell, arm, "virtual", q_start)
         port = TimedPort(line, arm.baud)
         port.torques_ns = run.torques_ns
-        driver = DynamixelDriver(servos, clock, on_event=run.events.append, scan_s=0.05, port=port)
+        driver = DynamixelDriver(servos, clock, on_event=run.events.append, scan_s=0.02, port=port)
         driver.connect()
         driver.enable()
         handover = Handover.of(driver)

@@ -206,7 +206,7 @@ class OneArm:
         self.clock.passed = self.witness.see
         self.port = LossyPort(self.line, self.arm.baud, self.witness.see)
         self.driver = DynamixelDriver(
-            self.arm, self.clock, on_event=self.events.append, scan_s=0.05, port=self.port
+            self.arm, self.clock, on_event=self.events.append, scan_s=0.02, port=self.port
         )  # fmt: skip
         self.handover: Handover | None = None
 

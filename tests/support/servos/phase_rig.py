@@ -228,7 +228,7 @@ class PhaseRun:
         line: Any = Line(self.emulated, index, self.injectors[arm.name], clock)  # type: ignore[arg-type]
         servos = arm_map(self.cell, arm, "virtual", self._begins[index])
         port = VirtualPort(line, arm.baud)
-        driver = DynamixelDriver(servos, clock, on_event=run.events.append, scan_s=0.05, port=port)
+        driver = DynamixelDriver(servos, clock, on_event=run.events.append, scan_s=0.02, port=port)
         driver.connect()
         driver.enable()
         handover = Handover.of(driver)

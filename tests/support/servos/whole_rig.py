@@ -99,7 +99,7 @@ class WholeRun:
         line = Line(self.emulated, index, self._injectors[index], self.clock)
         servos = arm_map(self.cell, arm, "virtual", rest_joints(arm))
         port = VirtualPort(line, arm.baud)
-        driver = DynamixelDriver(servos, self.clock, on_event=run.events.append, scan_s=0.05, port=port)
+        driver = DynamixelDriver(servos, self.clock, on_event=run.events.append, scan_s=0.02, port=port)
         driver.connect()
         driver.enable()
         run.agent = agent = build_agent(self.cell, arm)
