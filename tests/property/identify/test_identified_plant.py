@@ -42,7 +42,7 @@ class Known:
         return [self.fit.base.rotor(j) for j in range(self.recording.arm.n)]
 
 
-SHORTER = ("duration_s=40.0", "trajectory.motion_s=40.0")  # two of the three periods
+SHORTER = ("duration_s=20.0", "trajectory.motion_s=20.0")  # one of the three periods
 RUNS = [
     ("identify_wx200", 1, SHORTER),
     *(
