@@ -35,6 +35,7 @@ from drivers.dynamixel.servo.table import (
     TORQUE_ENABLE,
 )
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring
+from tests.support.control.strategies import examples
 from tests.support.servos.dxl_rig import WX200, XL, XM, Rig
 from tests.support.servos.tool_rig import (
     LOOKING,
@@ -166,7 +167,7 @@ def test_an_arm_set_up_servo_by_servo_is_one_that_the_driver_takes() -> None:
     rig.driver.disable()
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(examples(12), suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_a_setup_that_was_cut_anywhere_is_completed_by_the_next(data: st.DataObject) -> None:
     """Power or cable may go after any packet; nothing but running the same command again is needed."""

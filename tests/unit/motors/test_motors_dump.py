@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.motors import dump, eeprom
@@ -25,6 +25,7 @@ from drivers.dynamixel.servo.table import (
     Register,
 )
 from sim_backend.wire.faults import FaultKind
+from tests.support.control.strategies import examples
 from tests.support.servos.dxl_rig import XL, XM, Rig
 from tests.support.servos.tool_rig import (
     LOOKING,
@@ -73,7 +74,7 @@ def restore(rig: Rig, file: dump.Dump, *, mark: bool = False) -> list[dump.Servo
     return plans
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(st.data())
 def test_restoring_brings_back_every_register_and_writes_no_other(data: st.DataObject) -> None:
     rig = servo_rig(fresh(XL, 1), fresh(XL, 2, Baud_Rate=3))
