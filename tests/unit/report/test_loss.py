@@ -141,7 +141,8 @@ def test_what_happened_lists_the_open_grasp_and_the_loss_as_the_plants() -> None
     assert told(prepare(small_run())) == []
 
 
-def test_the_page_has_them_among_its_events(tmp_path: Path) -> None:
+def test_the_page_has_them_among_its_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.report.report.pictures", lambda _: ())  # nothing is said of them
     write_report(dropped(), tmp_path)
     page = (tmp_path / PAGE).read_text(encoding="utf-8")
     assert "<td>the object is lost</td>" in page

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,7 +36,7 @@ from agent.study import work
 from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, bounds_of, measure, run_once
-from agent.study.page import _influences
+from agent.study.page import _distribution, _influences, _picture
 from agent.study.plan import Plan, Task, load_plan
 from agent.study.provenance import hash_of, provenance
 from agent.study.store import RUNS_FILE, Store, StudyError
@@ -78,9 +78,15 @@ class Told:
 
 @pytest.fixture(scope="module", autouse=True)
 def examined_once() -> Iterator[None]:
-    """Forty studies of one plan, whose cell is found fit once; one that is not fit is another cell."""
+    """Forty studies of one plan, whose cell is found fit once; one that is not fit is another cell.
+
+    Equal results have one picture, drawn once.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("agent.study.study.examine", once_per_cell(examine))
+        distribution = cache(_distribution)
+        patch.setattr("agent.study.page._distribution", lambda results: distribution(tuple(results)))
+        patch.setattr("agent.study.page._picture", cache(_picture))
         yield
 
 
