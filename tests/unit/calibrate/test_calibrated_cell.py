@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,7 @@ from drivers.dynamixel.servo.counts import TICK_RAD
 from sim_backend.physics.plant import Observation
 from tests.support.calibrate_rig import UNSURE, rig
 from tests.support.command import coop
+from tests.support.drawn_once import drawn_once
 from tests.support.few import long
 from tests.support.full_disk import full_for
 from tests.support.plant.inprocess import simulate
@@ -38,6 +41,13 @@ HOLDING = "floating.holding=true"
 SOFT = ("simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=50.0")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def one_picture() -> Iterator[None]:
+    with drawn_once("agent.calibrate.run", "figure"):
+        yield
+
+
+@cache
 def in_error(name: str = "two_wx200") -> tuple[Calibrated, Cell]:
     """The calibration of a rig, and the rig's cell with its truth as the reality of a simulated one."""
     made = rig(name, SEED)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import datetime, tzinfo
@@ -27,6 +27,7 @@ from agent.report.names import picture_files
 from agent.report.page import figure_html
 from agent.report.picture import Picture
 from tests.support.command import coop
+from tests.support.drawn_once import drawn_once
 from tests.support.few import few
 from tests.support.full_disk import full_for
 from tests.support.identify_rig import exact
@@ -168,10 +169,11 @@ each_of_its_files = pytest.mark.parametrize(
 
 
 @pytest.fixture(scope="module")
-def found() -> Identified:
+def found() -> Iterator[Identified]:
     cell = load_cell(configs.CELLS_DIR / "identify_wx200.toml")
     recording = exact(cell, 0.6, (0.3, 0.7, 1.3), 20.0)
-    return identified(recording, Options(), fit(recording, Options()))
+    with drawn_once("agent.identify.run", "validation_figure"):
+        yield identified(recording, Options(), fit(recording, Options()))
 
 
 @each_of_its_files
