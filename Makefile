@@ -11,13 +11,14 @@ CELL   ?= configs/cells/paper.toml
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
 
-# What the host must have is looked for before pip starts; each lack is one line with its remedy.
+# What the host must have is looked for before pip starts; each lack is one line with its remedy.  An environment that is
+# there keeps its Python: another one laid over it would mix its library with the old program.
 $(VENV)/.installed: pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo 'coop: no $(PYTHON) here: apt install python3 python3-venv' >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "coop: Python is %d.%d, needed 3.11 or newer (Debian 12 has it): make %s PYTHON=python3.11" % (sys.version_info[0], sys.version_info[1], "$(MAKECMDGOALS)"))'
 	@$(PYTHON) -c 'import sys; sys.exit(sys.maxsize < 2**32 and "coop: Python has 32 bits, pinocchio needs 64: install a 64-bit system")'
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { echo 'coop: $(PYTHON) cannot make an environment: apt install python3-venv' >&2; exit 1; }
-	$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 

@@ -65,3 +65,21 @@ def test_no_python_is_refused_in_one_line(tmp_path: Path) -> None:
     assert done.returncode != 0
     assert done.stderr.splitlines()[0] == "coop: no nosuchpython here: apt install python3 python3-venv"
     assert not (tmp_path / ".venv").exists()
+
+
+@pytest.mark.parametrize(("works", "made"), [(0, []), (1, ["-m venv --clear .venv"])])
+def test_an_environment_that_works_keeps_the_python_it_began_with(tmp_path: Path, works: int, made: list[str]) -> None:
+    said = tmp_path / "said"
+    scripts = {
+        "another": f'[ "$2" = venv ] && {{ echo "$@" >>{said}; exit 0; }}\nexec {sys.executable} "$@"',
+        ".venv/bin/python": f"exit {works}",
+        ".venv/bin/pip": f'echo "$1" >>{said}',
+        ".venv/bin/coop": "exit 0",
+    }
+    (tmp_path / ".venv/bin").mkdir(parents=True)
+    for name, does in scripts.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n")
+        (tmp_path / name).chmod(0o755)
+    done = make_run(tmp_path, str(tmp_path / "another"))
+    assert done.returncode == 0, done.stderr
+    assert said.read_text().splitlines() == [*made, "install"]
