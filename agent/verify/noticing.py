@@ -85,7 +85,7 @@ def noticed(cell: Cell) -> list[Finding]:
     return [Finding(what, "cell", found, ""), pulls]
 
 
-def unfiled(cell: Cell) -> list[Finding]:
+def unstated(cell: Cell) -> list[Finding]:
     """Arms moved by servos of whose breakaway and load friction neither file nor cell says anything; limits lack it."""
     stated = cell.tolerance
     if cell.file.driver is not DriverKind.DYNAMIXEL or stated.breakaway or stated.load_friction:

@@ -71,6 +71,11 @@ TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.calibrate.poses", (f"{UNIT}/calibrate/test_poses.py",)),
     Target("agent.config.floating", (f"{UNIT}/config/test_floating_config.py",)),
+    Target(
+        "agent.config.friction",
+        (f"{UNIT}/config/test_noticing.py", f"{UNIT}/config/test_reality.py", f"{UNIT}/verify/test_rubbing.py"),
+    ),
+    Target("agent.config.reality", (f"{UNIT}/config/test_reality.py",)),
     Target("agent.config.monitors", (f"{UNIT}/monitors/test_bounds.py",)),
     Target(
         "agent.config.noticing",
@@ -185,6 +190,7 @@ TARGETS = (
     Target("agent.verify.collision.way", (f"{UNIT}/verify/test_way.py",)),
     Target("agent.verify.criterion.exponential", (f"{_CRITERION}/test_exponential.py",)),
     Target("agent.verify.criterion.power", (f"{_CRITERION}/test_power.py",)),
+    Target("agent.verify.rubbing", (f"{UNIT}/verify/test_rubbing.py",)),
     Target("agent.verify.disagreement", (f"{UNIT}/verify/test_disagreement.py",)),
     Target(
         "drivers.dynamixel.bringup",

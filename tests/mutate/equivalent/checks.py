@@ -41,6 +41,10 @@ _NO_GEARS = "zero times anything"
 _NO_SIGN = "an error may have either sign, and the sizes of columns are given"
 _A_TOUCH_SETS_IT = "a touch sets it as it begins, and nothing asks for it before"
 _NOTHING_MORE = "where rounding alone is as large as one nothing is proved any more"
+_ALONG = "return _sized(rng, most, v if normal is None else normal * float(normal @ v), R)"
+_JITTER = "return real.model_copy(update={'delay_jitter_s': min(jitter_s, real.delay_s or 0.0)})"
+_SENSE = "size, along = (np.abs(tau_rest), np.where(tau_rest >= 0.0, sign, -sign))"
+_BOUND = "return np.where(size + along * bound >= 0.0, bound, turned)"
 
 CHECKS: Entries = {
     "agent.calibrate.poses": {
@@ -57,6 +61,18 @@ CHECKS: Entries = {
     },
     "agent.config.noticing": {
         ("", _FLOORS, _FLOORS.replace("0.05", "0.1")): "what seven arms or fewer feel of a touch is more",
+    },
+    "agent.config.reality": {
+        (
+            "_turn",
+            _ALONG,
+            _ALONG.replace("normal * float", "normal / float"),
+        ): "its size is drawn; its sense is the same",
+        ("_jittering_within", _JITTER, _JITTER.replace("0.0", "False")): "the least of the two is no jitter",
+    },
+    "agent.verify.rubbing": {
+        ("Rubbing.fed", _SENSE, _SENSE.replace(">=", ">")): "of no torque either sign is right",
+        ("Rubbing.fed", _BOUND, _BOUND.replace(">=", ">")): "where both are zero they are equal",
     },
     "agent.guard.takeover": {
         ("go_on", _AWAY, _AWAY.replace("else 0,", "else 1,")): "a nanosecond is no time",

@@ -11,11 +11,12 @@ import pytest
 import configs
 from agent.config import coordination, usual
 from agent.config.cell import Cell, ConfigError, load_cell
-from agent.config.friction import at_rest_Nm, joint_friction, lifting_Nm
+from agent.config.friction import at_rest_Nm, joint_friction, lifting_Nm, unfiled
 from agent.config.noticing import derived, thresholds
+from agent.config.schema.arm import Figure, Provenance
 from agent.control.residual import Channels, Residual
 from agent.verify.check import examine
-from agent.verify.noticing import noticed, rested, unfiled
+from agent.verify.noticing import noticed, rested, unstated
 from tests.support.arm_files import pressed_on, with_figures
 
 # largest channels over realities without a fault; of two_models, the slow ones, over 200
@@ -136,6 +137,13 @@ def test_friction_that_no_file_has_counts_beside_what_may_be_wrong_with_the_file
     held, coulomb = usual._held_Nm(known, at), np.array([s.coulomb_Nm.value for s in known.arm.servos])
     wanted = 0.5 * coulomb + (0.5 * coulomb + 0.05 * np.abs(held))
     np.testing.assert_allclose(usual._unknown_Nm(known, at), wanted, atol=1e-12)
+    first, *others = known.arm.servos
+    figure = Figure(value=0.02, status=Provenance.ESTIMATED, source="a test")
+    for key, wanted_of in (
+        ("coulomb_Nm", (0.5, 0.05)), ("breakaway_Nm", (0.0, 0.05)), ("load_friction", (0.5, 0.0)),
+        ("breakaway_load_friction", (0.0, 0.0)),
+    ):  # fmt: skip
+        assert unfiled(stated.tolerance, [first.model_copy(update={key: figure}), *others]) == wanted_of, key
     filed = with_figures(stated, tmp_path, pressed_on)
     as_filed = with_figures(cell("two_wx200"), tmp_path, pressed_on)
     assert derived(filed) == derived(as_filed), "a file that has such friction says how much there is"
@@ -297,14 +305,14 @@ def test_a_pose_out_of_reach_names_the_arm_and_the_way_out() -> None:
 
 def test_check_warns_of_arms_on_whose_friction_at_rest_nobody_says_anything(tmp_path: Path) -> None:
     real = 'driver="dynamixel"'
-    (found,) = unfiled(cell("paper_real", real))
+    (found,) = unstated(cell("paper_real", real))
     assert (found.where, found.verdict) == ("left, right", "warning")
     assert "tolerance.breakaway and tolerance.load_friction" in found.remedy
-    for said in ("tolerance.breakaway=0.5", "tolerance.load_friction=0.05", "safety.noticing.enabled=false"):
-        assert unfiled(cell("paper_real", real, said)) == []
-    assert unfiled(cell("paper_real")) == [], "a simulated arm has what its file says"
+    for other in ("tolerance.breakaway=0.5", "tolerance.load_friction=0.05", "safety.noticing.enabled=false"):
+        assert unstated(cell("paper_real", real, other)) == []
+    assert unstated(cell("paper_real")) == [], "a simulated arm has what its file says"
     loaded = with_figures(cell("paper_real", real), tmp_path, lambda _: {"load_friction": 0.05})
-    assert unfiled(loaded) == []
+    assert unstated(loaded) == []
     assert found in examine(cell("paper_real", real), thorough=False).findings
 
 

@@ -119,6 +119,7 @@ def test_backlash_and_jitter_are_drawn_up_to_what_is_stated_each_by_itself() -> 
     assert made.delay_jitter_s == jitters[3]
 
 
+DRAWN = (0.002591812932216864, 0.02702433483322102, 1.1908067166587966, 0.0025957792674616066, 4964.9090777386145)
 RUBBING = ("tolerance.breakaway=0.8", "tolerance.load_friction=0.06")
 
 
@@ -176,6 +177,33 @@ def test_joints_that_do_not_rub_and_files_that_have_such_friction_draw_none() ->
         assert drawn.arms[arm].breakaway_Nm == ()
     assert draw(smooth.file.tolerance, 5, smooth).arms["right"].load_friction == ()
     assert len(draw(filed.file.tolerance, 5, filed).arms["left"].load_friction) == 3, "its file has no load friction"
+
+
+def test_a_seed_draws_what_it_drew_of_what_is_drawn_where_it_is_stated() -> None:
+    c = cell("paper", *WORN, *RUBBING, "tolerance.pads_alike=false")
+    right = draw(c.file.tolerance, 7, c).arms["right"]
+    assert (
+        right.backlash_rad[0],
+        right.breakaway_Nm[0],
+        right.stribeck_rad_per_s,
+        right.load_friction[0],
+        right.pads_N_per_m,
+    ) == pytest.approx(DRAWN, rel=1e-12)
+
+
+def test_an_arm_alone_has_its_reality_too() -> None:
+    c = cell("identify_mk2", *RUBBING)
+    (alone,) = draw(c.file.tolerance, 3, c).arms.values()
+    assert len(alone.load_friction) == 3
+
+
+def test_a_planar_arm_s_grasp_is_off_in_its_plane_however_the_object_lies() -> None:
+    c = cell("paper", "object.quat_start=[0.7071067811865476, 0.7071067811865475, 0.0, 0.0]")
+    R = c.T_world_object_start.rotation
+    for seed in range(5):
+        for arm in draw(c.file.tolerance, seed, c).arms.values():
+            assert abs((R @ arm.grasp_m)[2]) < 1e-12
+            assert float(np.linalg.norm(arm.grasp_m)) > 0.0
 
 
 def test_a_delay_jitters_by_no_more_than_there_is_of_it() -> None:
