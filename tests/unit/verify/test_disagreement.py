@@ -11,6 +11,7 @@ import pytest
 from agent.config.cell import Cell, load_cell
 from agent.verify.check import start_configurations
 from agent.verify.disagreement import (
+    MEAN_SHARE,
     Disagreement,
     _beyond,
     _Errors,
@@ -19,12 +20,13 @@ from agent.verify.disagreement import (
     _turn,
     _wrenches,
     disagreement,
+    mean_bound_N,
     start_off,
 )
 from agent.verify.finding import Finding, Verdict
 from agent.verify.robustness import Walk, poses, robustness
 from tests.support.arm_files import with_figures
-from tests.support.control.criterion_cells import gentle
+from tests.support.control.criterion_cells import cell_of, gentle
 from tests.support.plant.inprocess import simulate
 
 KEYS = ("base_m", "base_rad", "grasp_m", "grasp_rad", "zeros_rad", "masses", "torque_constant", "skew_s")
@@ -287,3 +289,8 @@ def test_a_tolerance_with_which_an_arm_may_not_be_let_go_is_warned_of(
 ) -> None:
     (found,) = start_findings(change)
     assert (found.verdict, found.wanted) == (verdict, wanted)
+
+
+def test_in_the_mean_a_run_may_press_by_a_newton_in_a_plane_and_by_four_elsewhere_half_of_the_sum() -> None:
+    assert [mean_bound_N(cell_of(name)) for name in ("paper_real", "three_wx250s")] == [1.0, 4.0]
+    assert MEAN_SHARE == 0.5
