@@ -74,6 +74,14 @@ def test_overrides_of_what_is_no_value_are_refused(text: str) -> None:
         load_cell(PAPER, [text])
 
 
+@pytest.mark.parametrize("key", ["load_share=0.4", "x.y=0"])
+def test_an_override_of_two_arms_of_one_name_is_refused(key: str, tmp_path: Path) -> None:
+    text = configs.CELLS_DIR.joinpath("paper_real.toml").read_text().replace('name = "right"', 'name = "left"')
+    (tmp_path / "twins.toml").write_text(text)
+    with pytest.raises(ConfigError, match="expected one of left in the file; give each entry a name of its own"):
+        load_cell(tmp_path / "twins.toml", [f"arms.left.{key}"])
+
+
 @pytest.mark.parametrize(
     ("name", "remedy"), [("lft", "did you mean left?"), ("middle", "name one of these"), ("1", "name one of these")]
 )
