@@ -31,8 +31,13 @@ def at_rest_Nm(servo: ServoJoint, held_Nm: float) -> float:
     return joint_friction(servo).bound(1.0, held_Nm, 0.0)
 
 
+def all_at_rest_Nm(servos: Sequence[ServoJoint], held_Nm: Vector) -> Vector:
+    """(n,) the same of these joints, while motors give held_Nm (n,)."""
+    return np.array([at_rest_Nm(servo, tau) for servo, tau in zip(servos, held_Nm.tolist(), strict=True)])
+
+
 def lifting_Nm(servo: ServoJoint, held_Nm: float) -> float:
-    """The same while its motor gives so much and what overcomes the friction, which presses on it too."""
+    """The same of one joint while its motor gives so much and what overcomes the friction, which presses on it too."""
     return joint_friction(servo).bound(1.0, held_Nm, math.copysign(1.0, held_Nm))
 
 

@@ -143,12 +143,12 @@ def override(document: dict[str, Any], text: str) -> list[str]:
     node: Any = document
     for name in parents:
         if isinstance(node, list):
-            named = {x["name"]: x for x in node if isinstance(x, dict) and isinstance(x.get("name"), str)}
+            named = [x["name"] for x in node if isinstance(x, dict) and isinstance(x.get("name"), str)]
             if named and name not in named:
                 raise _not_an_override(key, " or ".join(named), nearest(name, named) or "name one of these")
-            if sum(isinstance(x, dict) and x.get("name") == name for x in node) > 1:
+            if named.count(name) > 1:
                 raise _not_an_override(key, f"one of {name} in the file", "give each entry a name of its own")
-            node = named.get(name)
+            node = next((x for x in node if isinstance(x, dict) and x.get("name") == name), None)
         else:
             node = node.setdefault(name, {})
         if not isinstance(node, (dict, list)):

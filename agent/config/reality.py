@@ -14,7 +14,7 @@ from agent.config.schema.tolerance import Tolerance
 from agent.control.quaternion import Vec3
 from drivers.interface import Vector
 
-STRIBECK_RAD_PER_S: Final = (0.1, 1.5)  # 1.1 and 1.5 are published of the MX-64; gears of steel let go sooner
+STRIBECK_RAD_PER_S: Final = (0.1, 1.5)  # 1.1 and 1.5 are published of the MX-64; less is assumed
 
 
 def reality_of(cell: Cell) -> Reality | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, placement
-from agent.config.friction import at_rest_Nm, unfiled_Nm
+from agent.config.friction import all_at_rest_Nm, unfiled_Nm
 from agent.config.once import once_per_cell
 from agent.config.statics import carried_Nm
 from agent.config.trajectory import sample_times
@@ -135,7 +135,8 @@ def _unknown_Nm(known: _Arm, at: _Place) -> Vector:
     stated, held = known.cell.tolerance, _held_Nm(known, at)
     low, high = stated.friction
     share = high if known.offline.friction is None else max(high - 1.0, 1.0 - low, UNKNOWN_LEAST)
-    found: Vector = share * _at_rest_Nm(known, held) + unfiled_Nm(stated, known.arm.servos, held)
+    servos = known.arm.servos
+    found: Vector = share * all_at_rest_Nm(servos, held) + unfiled_Nm(stated, servos, held)
     return found
 
 
@@ -144,13 +145,8 @@ def _held_Nm(known: _Arm, at: _Place) -> Vector:
     return found
 
 
-def _at_rest_Nm(known: _Arm, held_Nm: Vector) -> Vector:
-    """(n,) friction of each joint as its file has it, breakaway and load in it."""
-    return np.array([at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held_Nm.tolist(), strict=True)])
-
-
 def _turned_N(known: _Arm, at: _Place) -> float:
-    rubbing = at.to_wrench[:3] * _at_rest_Nm(known, _held_Nm(known, at))
+    rubbing = at.to_wrench[:3] * all_at_rest_Nm(known.arm.servos, _held_Nm(known, at))
     return float(np.abs(np.array(down(known.cell)) @ rubbing).sum())
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config.cell import Arm, Cell
-from agent.config.friction import at_rest_Nm, unfiled_Nm
+from agent.config.friction import all_at_rest_Nm, unfiled_Nm
 from agent.control.models import ArmModel, Matrix
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.loop import laws
@@ -159,8 +159,7 @@ def _errors(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vect
     held = k.g + J.T @ (offline.load_share * weight)
     low, high = stated.friction
     unknown = max(high - 1.0, 1.0 - low) if offline.friction is not None else high
-    at_rest = np.array([at_rest_Nm(servo, tau) for servo, tau in zip(arm.servos, held.tolist(), strict=True)])
-    friction = unknown * at_rest + unfiled_Nm(stated, arm.servos, held)
+    friction = unknown * all_at_rest_Nm(arm.servos, held) + unfiled_Nm(stated, arm.servos, held)
     torques = [stated.torque_constant * np.diag(held), stated.masses * k.g[:, None], np.diag(friction)]
     return _Errors(np.concatenate(off, axis=1), J_inv.T @ np.concatenate(torques, axis=1))
 

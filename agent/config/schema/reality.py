@@ -11,7 +11,7 @@ from typing import Annotated, Final
 from pydantic import Field
 
 from agent.config.schema.tolerance import Tolerance, refuse_overtaking
-from agent.config.schema.types import AS_LIST, Name, Seed, Strict, wrong
+from agent.config.schema.types import AS_LIST, AngularStiffness, LinearStiffness, Name, Seed, Strict, wrong
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1)]  # m
 Turn = Annotated[float, Field(ge=-0.3, le=0.3)]  # rad
@@ -22,8 +22,6 @@ Times = Annotated[float, Field(ge=0.05, le=20.0)]  # what the files say
 Seconds = Annotated[float, Field(ge=0.0, le=0.5)]
 Rub = Annotated[float, Field(ge=0.0, le=20.0)]  # N·m
 LoadPart = Annotated[float, Field(ge=0.0, le=0.9)]  # of the motor's torque
-Stiffness = Annotated[float, Field(ge=10.0, le=1e8)]
-Twist = Annotated[float, Field(ge=0.01, le=1e6)]  # N·m/rad
 STIFFNESSES: Final = ("pads_N_per_m", "pads_Nm_per_rad")
 NOTHING = (0.0, 0.0, 0.0)
 PER_JOINT: Final = ("zeros_rad", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad")
@@ -56,9 +54,9 @@ class ArmReality(Strict):
     """True over believed, one per controlled joint; empty: no error."""
     backlash_rad: Annotated[tuple[Gap, ...], AS_LIST] = ()
     """Of its gears, from one end of the gap to the other, one per controlled joint; empty: none."""
-    pads_N_per_m: Stiffness | None = None
+    pads_N_per_m: LinearStiffness | None = None
     """Stiffness of its own finger pads; none: as the other arms'."""
-    pads_Nm_per_rad: Twist | None = None
+    pads_Nm_per_rad: AngularStiffness | None = None
     """The same in rotation."""
     skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """By which its clock, and so its trajectory, is ahead."""
@@ -73,9 +71,9 @@ class Reality(Strict):
     """Times the object's mass and inertia."""
     object_centre_m: Offsets = NOTHING
     """True centre of mass less the object's frame, object axes."""
-    pads_N_per_m: Stiffness | None = None
+    pads_N_per_m: LinearStiffness | None = None
     """Stiffness of finger pads; none: [simulation.grasp], without which it goes with the other stiffness."""
-    pads_Nm_per_rad: Twist | None = None
+    pads_Nm_per_rad: AngularStiffness | None = None
     """The same in rotation."""
     pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     """Of an arm that swings on its pad."""
@@ -88,17 +86,19 @@ class Reality(Strict):
 
     def require_pads(self, *, welded: bool) -> None:
         """Refuse half of what makes a weld a pad; welded: without [simulation.grasp].  Raises PydanticCustomError."""
-        known = {key: getattr(self, key) for key in ("pads_N_per_m", "pads_Nm_per_rad", "pads_damping_ratio")}
-        given = [key for key, value in known.items() if value is not None]
+        keys = (*STIFFNESSES, "pads_damping_ratio")
+        given = [key for key in keys if getattr(self, key) is not None]
         lacking = [key for key in STIFFNESSES if key not in given]
-        if welded and self.seed is None and given and lacking:
+        if not (welded and self.seed is None and lacking):
+            return
+        if given:
             raise wrong(
                 f"simulation.reality.{given[0]}", found=f"{' and '.join(given)} without {' and '.join(lacking)}",
                 expected="both stiffnesses where the cell's grasps are welded",
                 remedy=f"give {' and '.join(lacking)} as well, or add [simulation.grasp], or leave all of these out",
             )  # fmt: skip
         own = [f"arms.{name}.{key}" for name, arm in self.arms.items() for key in STIFFNESSES if getattr(arm, key)]
-        if welded and self.seed is None and own and lacking:
+        if own:
             raise wrong(
                 f"simulation.reality.{own[0]}", found="grasps that are welded",
                 expected="pads of the cell, of which this arm has others",

@@ -9,7 +9,18 @@ from typing import Annotated, ClassVar
 from pydantic import Field, model_validator
 
 from agent.config.schema.reality import Reality
-from agent.config.schema.types import AS_LIST, Effort, Instant, Length, Name, Smoothing, Strict, wrong
+from agent.config.schema.types import (
+    AS_LIST,
+    AngularStiffness,
+    Effort,
+    Instant,
+    Length,
+    LinearStiffness,
+    Name,
+    Smoothing,
+    Strict,
+    wrong,
+)
 from drivers.pads import DAMPING_RATIO
 from drivers.substeps import fewest_substeps, is_short_enough, substep_s
 
@@ -43,9 +54,9 @@ class Effects(Strict):
 class Grasp(Strict):
     """Finger pads of every arm in the simulated cell; without this table grasps are welded."""
 
-    stiffness_N_per_m: Annotated[float, Field(ge=10.0, le=1e8)]
+    stiffness_N_per_m: LinearStiffness
     """Stiffness of finger pads."""
-    stiffness_Nm_per_rad: Annotated[float, Field(ge=0.01, le=1e6)]
+    stiffness_Nm_per_rad: AngularStiffness
     """The same in rotation."""
     damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = DAMPING_RATIO
     """Of an arm that swings on its pad."""

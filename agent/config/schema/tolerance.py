@@ -12,7 +12,7 @@ from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field
 
-from agent.config.schema.types import AS_LIST, Strict, wrong
+from agent.config.schema.types import AS_LIST, AngularStiffness, LinearStiffness, Strict, wrong
 from drivers.pads import DAMPING_RATIO
 
 ZEROS_PLANAR_RAD: Final = math.radians(0.5)
@@ -39,8 +39,6 @@ Breakaway = Annotated[float, Field(ge=0.0, le=5.0)]  # times Coulomb friction
 LoadPart = Annotated[float, Field(ge=0.0, le=0.5)]  # of the motor's torque
 Times = Annotated[float, Field(ge=0.0, le=10.0)]  # what the files say
 Factors = Annotated[tuple[Times, Times], AS_LIST, AfterValidator(_around_one)]
-Linear = Annotated[float, Field(ge=10.0, le=1e8)]  # as of [simulation.grasp]
-Angular = Annotated[float, Field(ge=0.01, le=1e6)]
 
 
 def refuse_overtaking(key: str, jitter_s: float, rate_hz: float) -> None:
@@ -79,9 +77,12 @@ class Tolerance(Strict):
     """Friction per N·m of the motor, of arms whose files have none; 0: none is drawn."""
     torque_constant: Part = 0.1
     """Part, of each servo."""
-    pads_N_per_m: Annotated[tuple[Linear, Linear], AS_LIST, AfterValidator(_ascending)] = (1e3, 1e6)
+    pads_N_per_m: Annotated[tuple[LinearStiffness, LinearStiffness], AS_LIST, AfterValidator(_ascending)] = (1e3, 1e6)
     """Stiffness of a grasp, from to."""
-    pads_Nm_per_rad: Annotated[tuple[Angular, Angular], AS_LIST, AfterValidator(_ascending)] = (5.0, 1e3)
+    pads_Nm_per_rad: Annotated[tuple[AngularStiffness, AngularStiffness], AS_LIST, AfterValidator(_ascending)] = (
+        5.0,
+        1e3,
+    )
     """The same in rotation."""
     pads_alike: bool = True
     """Whether all grasps of a reality are of one stiffness; false: each is drawn for itself."""

@@ -68,6 +68,8 @@ Attitude = Annotated[float, Field(gt=0.0, le=math.pi)]  # rad, size of an attitu
 Mass = Annotated[float, Field(gt=0.0, le=100.0)]  # kg
 Moment = Annotated[float, Field(gt=0.0, le=100.0)]  # kg·m²
 Instant = Annotated[float, Field(ge=0.0, le=1e6)]  # s; a million seconds are eleven days
+LinearStiffness = Annotated[float, Field(ge=10.0, le=1e8)]  # N/m, of a grasp
+AngularStiffness = Annotated[float, Field(ge=0.01, le=1e6)]  # N·m/rad
 Duration = Annotated[float, Field(ge=0.01, le=1e6)]  # s, of something that moves
 Gain = Annotated[float, Field(gt=0.0, le=1e5)]
 Effort = Annotated[float, Field(ge=-1e4, le=1e4)]  # N, N·m

@@ -11,7 +11,7 @@ import pytest
 import configs
 from agent.config import coordination, usual
 from agent.config.cell import Cell, ConfigError, load_cell
-from agent.config.friction import at_rest_Nm, joint_friction, lifting_Nm, unfiled
+from agent.config.friction import all_at_rest_Nm, at_rest_Nm, joint_friction, lifting_Nm, unfiled
 from agent.config.noticing import derived, thresholds
 from agent.config.schema.arm import Figure, Provenance
 from agent.control.residual import Channels, Residual
@@ -126,7 +126,7 @@ def test_friction_that_grows_with_the_load_is_that_of_arm_and_object_together(tm
 
 def _rubbing(known: usual._Arm, at: usual._Place) -> np.ndarray:
     """(6, n) J⁻ᵀ of the friction of each joint at rest."""
-    return at.to_wrench * usual._at_rest_Nm(known, usual._held_Nm(known, at))
+    return at.to_wrench * all_at_rest_Nm(known.arm.servos, usual._held_Nm(known, at))
 
 
 def test_friction_that_no_file_has_counts_beside_what_may_be_wrong_with_the_files(tmp_path: Path) -> None:
