@@ -18,7 +18,7 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "coop: Python is %d.%d, needed 3.11 or newer (Debian 12 has it): make %s PYTHON=python3.11" % (sys.version_info[0], sys.version_info[1], "$(MAKECMDGOALS)"))'
 	@$(PYTHON) -c 'import sys; sys.exit(sys.maxsize < 2**32 and "coop: Python has 32 bits, pinocchio needs 64: install a 64-bit system")'
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { echo 'coop: $(PYTHON) cannot make an environment: apt install python3-venv' >&2; exit 1; }
-	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv $$(test ! -f $(VENV)/pyvenv.cfg || echo --clear) $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 

@@ -67,8 +67,17 @@ def test_no_python_is_refused_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / ".venv").exists()
 
 
-@pytest.mark.parametrize(("works", "made"), [(0, []), (1, ["-m venv --clear .venv"])])
-def test_an_environment_that_works_keeps_the_python_it_began_with(tmp_path: Path, works: int, made: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("works", "files", "made"),
+    [
+        (0, (".venv/pyvenv.cfg",), []),
+        (1, (".venv/pyvenv.cfg",), ["-m venv --clear .venv"]),
+        (1, (), ["-m venv .venv"]),  # a folder that is no environment keeps what is in it
+    ],
+)
+def test_an_environment_that_works_keeps_the_python_it_began_with(
+    tmp_path: Path, works: int, files: tuple[str, ...], made: list[str]
+) -> None:
     said = tmp_path / "said"
     scripts = {
         "another": f'[ "$2" = venv ] && {{ echo "$@" >>{said}; exit 0; }}\nexec {sys.executable} "$@"',
@@ -77,6 +86,8 @@ def test_an_environment_that_works_keeps_the_python_it_began_with(tmp_path: Path
         ".venv/bin/coop": "exit 0",
     }
     (tmp_path / ".venv/bin").mkdir(parents=True)
+    for name in files:
+        (tmp_path / name).touch()
     for name, does in scripts.items():
         (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n")
         (tmp_path / name).chmod(0o755)
