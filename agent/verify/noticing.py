@@ -20,6 +20,7 @@ import numpy as np
 from agent.config import noticing
 from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.friction import joint_friction
+from agent.config.schema.arm import Provenance, ServoJoint
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.driver import DriverKind
 from agent.control.adaptation_bound import ReferenceTwist, estimated_wrench
@@ -86,11 +87,14 @@ def noticed(cell: Cell) -> list[Finding]:
 
 
 def unstated(cell: Cell) -> list[Finding]:
-    """Arms moved by servos of whose breakaway and load friction neither file nor cell says anything; limits lack it."""
+    """Arms moved by servos of whose breakaway and load friction neither file nor cell says anything; limits lack it.
+
+    A file whose Coulomb friction is measured says that there is none: whoever measured it looked for both.
+    """
     stated = cell.tolerance
     if cell.file.driver is not DriverKind.DYNAMIXEL or stated.breakaway or stated.load_friction:
         return []
-    arms = [arm.name for arm in cell.arms if not any(joint_friction(servo).sticks for servo in arm.servos)]
+    arms = [arm.name for arm in cell.arms if not any(map(_says_so, arm.servos))]
     if not arms or not cell.file.safety.noticing.enabled:
         return []
     return [
@@ -101,6 +105,11 @@ def unstated(cell: Cell) -> list[Finding]:
             "may hold for what its own joints do",
         )
     ]  # fmt: skip
+
+
+def _says_so(servo: ServoJoint) -> bool:
+    """Whether the arm file says what friction at rest there is."""
+    return joint_friction(servo).sticks or servo.coulomb_Nm.status is Provenance.MEASURED
 
 
 def unlearnt(cell: Cell, models: Sequence[ArmModel], q_start: Sequence[Vector]) -> list[Finding]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -313,6 +314,14 @@ def test_check_warns_of_arms_on_whose_friction_at_rest_nobody_says_anything(tmp_
     assert unstated(cell("paper_real")) == [], "a simulated arm has what its file says"
     loaded = with_figures(cell("paper_real", real), tmp_path, lambda _: {"load_friction": 0.05})
     assert unstated(loaded) == []
+    real_cell = cell("paper_real", real)
+    measured = [
+        s.model_copy(update={"coulomb_Nm": s.coulomb_Nm.model_copy(update={"status": Provenance.MEASURED})})
+        for s in real_cell.arms[0].servos
+    ]
+    identified = replace(real_cell, arms=(replace(real_cell.arms[0], servos=tuple(measured)), real_cell.arms[1]))
+    (left,) = unstated(identified)
+    assert left.where == "right", "identify has looked for it on the other"
     assert found in examine(cell("paper_real", real), thorough=False).findings
 
 
