@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
+from agent.config.reality import draw
 from agent.config.schema.reality import ArmReality, Reality
 from agent.control.quaternion import angle_between
 from agent.modes import Mode
@@ -267,3 +268,14 @@ def test_a_reality_beyond_reach_is_refused(lab: Laboratory) -> None:
     far = {"left": ArmReality.model_construct(base_m=(9.0, 0.0, 0.0))}
     with pytest.raises(Refusal, match="is not on its grasp"):
         measure(lab, Reality.model_construct(arms=far))
+
+
+def test_friction_that_is_stated_is_nobodys_doing_and_left_unstated_it_holds_an_arm() -> None:
+    """The same joints, which stick more than their file says, under the limits of either cell."""
+    unstated = load_cell(Path("three_wx250s"), ["duration_s=2.0", "report.transient_s=0.5"])
+    rubbing = ["tolerance.breakaway=0.5", "tolerance.load_friction=0.05"]
+    stated = load_cell(Path("three_wx250s"), ["duration_s=2.0", "report.transient_s=0.5", *rubbing])
+    reality = draw(stated.file.tolerance, 6, stated)
+    found, other = (measure(Laboratory(of), reality) for of in (unstated, stated))
+    assert (found.lost, found.tripped_by) == (False, "UNEXPECTED")
+    assert (other.lost, other.tripped) == (False, False), other.why

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.config.cell import Cell, ConfigError
-from agent.verify.alignment_reach import alignment_reach
+from agent.verify.alignment_reach import alignment_reach, set_to
 from agent.verify.check import _instants, examine
 from agent.verify.finding import Finding, Verdict
 from agent.verify.path import along_trajectory
@@ -70,3 +70,13 @@ def test_away_from_the_base_is_out_of_reach_first_on_either_side(anchor: str, fo
     far = ("controller.alignment.max_m=0.1", "controller.alignment.max_rad=0.001", "safety.sigma_min=0.05")
     found = limits(gentle("paper", *far, f'controller.alignment.anchor="{anchor}"'))
     assert [(f.where, f.verdict) for f in found] == [(follower, Verdict.WARNING)]
+
+
+def test_limits_that_are_named_hold() -> None:
+    """Two digits of them, rounded down: 0.59375 is the most of 64 parts that holds."""
+    said = set_to(cell_of("paper", "controller.alignment.max_m=0.02", "controller.alignment.max_rad=0.1"), is_little)
+    assert said == "set max_m = 0.011 and max_rad = 0.059"
+
+
+def is_little(part: float) -> bool:
+    return part < 0.6
