@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -27,6 +28,7 @@ class Steps:
     def __init__(self, *, lines: bool = False) -> None:
         self._lines = lines
         self._shown: Progress | None = None
+        self._turning = set[threading.Thread]()  # what has it turn
 
     def __enter__(self) -> Self:
         return self
@@ -36,22 +38,26 @@ class Steps:
     ) -> None:
         self.clear()
 
-    def __call__(self, what: str) -> None:
-        """Say what is being done from now on."""
+    def __call__(self, what: str, *, still: bool = False) -> None:
+        """Say what is being done from now on; still: without the thread that has a spinner turn."""
         if not _on_terminal():
             if self._lines:
                 note(what)
             return
         self.clear()
-        self._shown = _spinner()
+        self._shown = _spinner(still=still)
         self._shown.add_task(what)
+        before = set(threading.enumerate())
         self._shown.start()
+        self._turning = set(threading.enumerate()) - before
 
     def clear(self) -> None:
-        """Take the spinner away; the next step brings it back."""
+        """Take the spinner away, and its thread; the next step brings it back."""
         if self._shown is not None:
             self._shown.stop()
             self._shown = None
+            for thread in self._turning:
+                thread.join()
 
 
 class RunProgress:
@@ -76,10 +82,10 @@ class RunProgress:
         if self._bar is not None:
             self._bar.stop()
 
-    def phase(self, what: str) -> None:
+    def phase(self, what: str, *, still: bool = False) -> None:
         """Say what is being done."""
         if self._bar is None:
-            self._steps(what)
+            self._steps(what, still=still)
         else:
             self._bar.update(self._bar.task_ids[0], description=what)
 
@@ -167,12 +173,12 @@ def _study_bar() -> Progress:
     )
 
 
-def _spinner() -> Progress:
+def _spinner(*, still: bool) -> Progress:
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    return Progress(*columns, console=Console(stderr=True), transient=True, auto_refresh=not still)
 
 
 def _bar() -> Progress:

@@ -124,7 +124,7 @@ def run(
     from agent.process.run import RunOptions, run_cell
     from agent.process.run_kind import RunKind
     from agent.report.bounds import require_bounds
-    from agent.telemetry.link.session import FREE_PORT
+    from agent.telemetry.link.endpoint import FREE_PORT
 
     _require_use(
         {"--gripper-empty": gripper_empty, "--priority": priority is not None,

@@ -27,7 +27,7 @@ from agent.process.commands import EmulateCommand, PlantCommand, RecordCommand, 
 from agent.process.progress import Progress
 from agent.process.run_folder import rings_bytes, run_folder
 from agent.process.run_kind import RunKind
-from agent.telemetry.link.session import FREE_PORT
+from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 from agent.telemetry.row.topics import PLANT, RECORDER

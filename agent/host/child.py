@@ -9,9 +9,11 @@ import subprocess
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 from agent.host import python
+from agent.host.copied import Copy, is_alone
 from agent.host.ready_line import READY, values_of
 from drivers.interface import Refusal
 
@@ -29,14 +31,21 @@ class ChildFailed(Refusal):
 class Child:
     """One process of the run, in a session of its own so that Ctrl-C reaches only `coop run`."""
 
-    def __init__(self, name: str, arguments: Sequence[str], log_dir: Path) -> None:
+    def __init__(
+        self, name: str, arguments: Sequence[str], log_dir: Path, be: Callable[[Sequence[str]], int] | None = None
+    ) -> None:
+        """be: what a copy of this process does with these arguments; none, or with other threads here: started anew."""
         self.name = name
         self.log = log_dir / f"{name}.log"
         self._received = b""
         self._readies = deque[dict[str, str]]()
         self._said = set[str]()
         self._told: list[str] = []
+        self.process: subprocess.Popen[bytes] | Copy
         with self.log.open("wb") as log:
+            if be is not None and is_alone():
+                self.process = Copy(name, partial(be, arguments), log)
+                return
             self.process = subprocess.Popen(
                 python.command("agent.process", *arguments),
                 env=python.surroundings(),

@@ -1,18 +1,14 @@
-"""How the processes of a lockstep run share the processor: who has which core, and all code in one memory layout.
+"""How the processes of a lockstep run share the processor: who has which core.
 
-Neither changes a result, and both only ask: where the host refuses, a run is slower.
+It changes no result, and only asks: where the host refuses, a run is slower.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import NamedTuple
-
-_ADDR_NO_RANDOMIZE = 0x0040000
-_ASK = 0xFFFFFFFF
 
 
 class Cores(NamedTuple):
@@ -49,22 +45,3 @@ def keep_to(pid: int, cores: frozenset[int]) -> None:
     """Let a process that has just been started run on these cores only; nothing happens when it has ended."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.sched_setaffinity(pid, cores)
-
-
-@contextlib.contextmanager
-def one_memory_layout() -> Iterator[None]:
-    """Processes started within have their code at the same addresses, instead of each at random ones.
-
-    Then the processor's branch predictor, which goes by addresses, serves all of them: 8 % of the wall time of a run
-    of two arms on two cores.  Only for processes that nobody outside can reach.
-    """
-    libc = ctypes.CDLL(None, use_errno=True)
-    before = libc.personality(_ASK)
-    if before < 0:
-        yield
-        return
-    libc.personality(before | _ADDR_NO_RANDOMIZE)  # of this thread and what it starts; refused in some containers
-    try:
-        yield
-    finally:
-        libc.personality(before)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import time
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from agent.config.schema.driver import DriverKind
 from agent.host.child import Child, wait_all
 from agent.host.info import CELL_FILE, RUN_FILE
 from agent.host.paths import control_in, emulated_port_in, plant_socket_in, ring_in
-from agent.host.share import keep_to, one_memory_layout, share_out
+from agent.host.share import keep_to, share_out
 from agent.operator.words import start_patiently
 from agent.process.commands import (
     AgentCommand,
@@ -25,13 +24,14 @@ from agent.process.commands import (
 )
 from agent.process.common_start import say
 from agent.process.describe import run_info
+from agent.process.entry import load, main
 from agent.process.folder import words_folder
 from agent.process.person import Person
 from agent.process.progress import Progress, show
 from agent.process.rehearse import in_the_loop
 from agent.process.run_kind import RunKind
 from agent.process.unbegun import StoppedEarly
-from agent.telemetry.link.session import FREE_PORT
+from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import PLANT
@@ -47,6 +47,8 @@ LOOK_EVERY_S = 0.05
 
 class Children:
     """The processes of one run.  What they share lies in `runtime`, their words beside `log` in a folder `logs`."""
+
+    _copied = True  # from this process, which has loaded what they need
 
     def __init__(
         self,
@@ -91,14 +93,15 @@ class Children:
     def start(self, stop: Callable[[], bool], progress: Progress) -> None:
         """Start all, recorder first.  Raises ChildFailed, ControlError, StoppedEarly; arms may have torque then."""
         self._stop = stop
-        progress.phase("starting")
+        progress.phase("starting", still=True)
+        if self._copied:
+            load(servos=self._kind.has_servos)
         self._recorder = self._kept("recorder", self._record_command(), self._cores.listeners)
-        with self._together():
-            self._plant = self._kept("plant", self._plant_command(), self._cores.plant)
-            self._wait_ready(self._plant)
-            if self._kind is RunKind.HIL:
-                self._start_servos()
-            self._start_agents()
+        self._plant = self._kept("plant", self._plant_command(), self._cores.plant)
+        self._wait_ready(self._plant)
+        if self._kind is RunKind.HIL:
+            self._start_servos()
+        self._start_agents()
         self._endpoint = self._wait_ready(self._recorder)["endpoint"]
         for name in (PLANT, *self._agents):
             command = self._telemetry_command(name, self._endpoint)
@@ -127,10 +130,6 @@ class Children:
         if self._lockstep:
             keep_to(child.process.pid, cores)
         return child
-
-    def _together(self) -> contextlib.AbstractContextManager[None]:
-        """For processes that wait for each other all the time, and that no network reaches."""
-        return one_memory_layout() if self._lockstep else contextlib.nullcontext()
 
     def _start_together(self, progress: Progress) -> None:
         """Give all arms one start instant once each of them holds its start pose."""
@@ -264,7 +263,7 @@ class Children:
             child.kill()
 
     def _child(self, name: str, command: ChildCommand) -> Child:
-        return Child(name, command.argv(), self._words)
+        return Child(name, command.argv(), self._words, main if self._copied else None)
 
     @property
     def _lockstep(self) -> bool:

@@ -12,7 +12,7 @@ from agent.process.commands import AgentCommand, EmulateCommand, GuardCommand, R
 from agent.process.describe import run_info
 from agent.process.floating_cell import FloatOptions, port_for
 from agent.process.folder import LOG_NAME
-from agent.telemetry.link.session import FREE_PORT
+from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.row.topics import PLANT
 from drivers.clock import utc_offset_ns
 

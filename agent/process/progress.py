@@ -14,8 +14,8 @@ from agent.telemetry.row.sample import AGENT_STATE
 class Progress(Protocol):
     """Somebody who watches."""
 
-    def phase(self, what: str) -> None:
-        """What is being done."""
+    def phase(self, what: str, *, still: bool = False) -> None:
+        """What is being done; still: by a process that is to have no other thread meanwhile."""
         ...
 
     def note(self, text: str) -> None:

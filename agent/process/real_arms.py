@@ -174,6 +174,8 @@ class Holding:
 class RealChildren(Children):
     """The processes of a rehearsal on real arms; each of those has a guard."""
 
+    _copied = False  # as services are: a copy would fetch its memory piece by piece while an arm moves
+
     def __init__(self, cell: Cell, *given: Any, real: RealArms, cell_path: Path, **more: Any) -> None:
         """given, more: of `Children`; cell_path: as on the command line.  Raises PlaceError."""
         super().__init__(cell, *given, **more)

@@ -20,7 +20,7 @@ from agent.process.run_kind import RunKind
 from agent.report.names import picture_files
 from agent.report.results import Results
 from agent.report.results_file import write_results
-from agent.telemetry.link.session import FREE_PORT, require_endpoint
+from agent.telemetry.link.endpoint import FREE_PORT, require_endpoint
 from agent.verify.check import examine
 
 LIFT_M = 0.02  # of a cell without [session] that is asked for a whole one

@@ -30,6 +30,7 @@ from tests.soak.watch import Series, grown, say
 from tests.support.coop import COOP
 
 LOOK_EVERY_S = 1.0
+COMMAND: Final = "the command itself"
 
 
 def main() -> int:
@@ -61,20 +62,19 @@ def soak(cell: Path, duration_s: float, out: Path) -> list[str]:
     if run.returncode != 0:
         return [f"exit code {run.returncode}: {err.strip()}"]
     # the run itself makes its report in the end, which is not looked at
-    complaints = grown({name: each for name, each in processes.items() if not name.startswith("run ")}) + lost(out)
+    complaints = grown({name: each for name, each in processes.items() if name != COMMAND}) + lost(out)
     say(f"{cell.stem}: {duration_s:g} s in {time.monotonic() - begin_s:.0f} s, {len(processes)} processes")
     return complaints
 
 
 def watched(run: subprocess.Popen[str]) -> dict[str, Series]:
-    """Samples of the run and its processes, by their words, until it ends."""
+    """Samples of the run and its processes, by their names, until it ends."""
     series: dict[str, Series] = defaultdict(Series)
     parent = psutil.Process(run.pid)
     while run.poll() is None:
         for process in [parent, *parent.children()]:
             try:
-                name = " ".join(Path(word).name for word in process.cmdline()[3:9])
-                series[name].look(process)
+                series[COMMAND if process is parent else process.name()].look(process)
             except psutil.Error:  # it has just ended
                 continue
         time.sleep(LOOK_EVERY_S)

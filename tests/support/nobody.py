@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class Nobody:
-    def phase(self, what: str) -> None:
+    def phase(self, what: str, *, still: bool = False) -> None:
         """What is being done."""
 
     def note(self, text: str) -> None:

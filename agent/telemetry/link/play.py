@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from agent.log.columns import Table
 from agent.log.read import ColumnLog, LogError, open_log
+from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.link.playhead import Order, Playhead
-from agent.telemetry.link.session import FREE_PORT, Network, open_session
+from agent.telemetry.link.session import Network, open_session
 from agent.telemetry.link.wire import BATCH_BYTES_MAX, BatchHeader, End
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.topics import PLANT, RECORDER, Address, BadName, Kind

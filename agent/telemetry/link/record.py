@@ -20,10 +20,11 @@ from agent.log.file import MIN_FREE_BYTES, Attachment, LogFile, LogFileError
 from agent.log.parts import Limits, make_room, next_path
 from agent.log.recover import RecoverReport
 from agent.log.scene import Scene
+from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.link.inbox import Inbox, Listening
 from agent.telemetry.link.intake import STRANGE, Intake, Rejection
 from agent.telemetry.link.repair import Repair
-from agent.telemetry.link.session import FREE_PORT, Network, open_session
+from agent.telemetry.link.session import Network, open_session
 from agent.telemetry.link.stream import Stream
 from agent.telemetry.link.wire import End, StreamStatus, pack_status, seal_of
 from agent.telemetry.row import topics

@@ -16,15 +16,11 @@ from typing import Any, Final
 import zenoh
 
 from agent.host import open_files
-from drivers.interface import Refusal
+from agent.telemetry.link.endpoint import NetworkError, require_endpoint
 
-LOOPBACK: Final = "tcp/127.0.0.1"
-FREE_PORT: Final = f"{LOOPBACK}:0"
 MESSAGE_BYTES_MAX: Final = 1 << 20  # Zenoh's default would let a stranger ask for 1 GiB
-PORT_MAX: Final = 65535
 _PORT_ATTEMPTS: Final = 20
 _VIEWER_TIMEOUT_MS: Final = 3000
-_PLACE: Final = re.compile(r"(tcp|udp|ws)/(\[[^]]+]|[^]/:?#[]+):(?P<port>[0-9]{1,5})([?#].*)?|unixsock-stream/.+")
 _IN_SOURCE: Final = re.compile(r" at /\S+\.rs:[0-9]+\.?")  # where Zenoh found an error, which may stand in another one
 
 _CLOSED: Final[dict[str, Any]] = {
@@ -69,18 +65,6 @@ class Role(Enum):
     VIEWER = "client"  # hears everything through the recorder it connects to; does not open without it
 
 
-class NetworkError(Refusal):
-    """The network cannot be used as it is configured."""
-
-    exit_code = 4
-
-
-class EndpointError(NetworkError):
-    """Somebody is to listen where nobody can; nothing was opened."""
-
-    exit_code = 2
-
-
 @dataclass(frozen=True, slots=True)
 class Network:
     """Where to listen and connect; a configuration file (TLS, access control) replaces all of it."""
@@ -103,16 +87,6 @@ class OpenSession:
     def put(self, key: str, payload: bytes, attachment: bytes | None) -> None:
         """Send it under this key, and wait where there is no room on the way: nothing is dropped."""
         self.session.put(key, payload, attachment=attachment, congestion_control=zenoh.CongestionControl.BLOCK)
-
-
-def require_endpoint(listen: str) -> None:
-    """Raise EndpointError for what is no place to listen at, whether it is free or not."""
-    found = _PLACE.fullmatch(listen)
-    if found is None or int(found["port"] or 0) > PORT_MAX:
-        raise EndpointError(
-            "endpoint to listen at", found=repr(listen), expected=f"like tcp/127.0.0.1:7448, port 0 to {PORT_MAX}",
-            remedy="correct it; port 0 takes a free one",
-        )  # fmt: skip
 
 
 @contextmanager

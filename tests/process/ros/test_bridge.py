@@ -18,8 +18,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from agent.ros import bridge
 from agent.ros.wire import Topic
+from agent.telemetry.link.endpoint import NetworkError
 from agent.telemetry.link.publication import Pace
-from agent.telemetry.link.session import Network, NetworkError, Role
+from agent.telemetry.link.session import Network, Role
 from agent.telemetry.row.topics import PLANT
 from tests.support.ports import free_port
 from tests.support.ros import foreign, router

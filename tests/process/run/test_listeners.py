@@ -124,7 +124,7 @@ def telemetry_stands(pid: int) -> bool:
     """Whether a telemetry process of this command is stopped."""
     for child in psutil.Process(pid).children():
         try:
-            if child.status() == psutil.STATUS_STOPPED and "telemetry" in child.cmdline():
+            if child.status() == psutil.STATUS_STOPPED and child.name().startswith("telemetry-"):
                 return True
         except psutil.Error:  # it has just ended
             continue
@@ -160,7 +160,7 @@ def test_a_process_that_ends_without_being_struck_is_a_failure_and_its_words_sta
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     command = standing(tmp_path, monkeypatch)
-    recorder = next(child for child in psutil.Process(command.pid).children() if "record" in child.cmdline())
+    recorder = next(child for child in psutil.Process(command.pid).children() if child.name() == "recorder")
     os.kill(recorder.pid, signal.SIGKILL)
     _, errors = command.communicate(timeout=60.0)
     assert command.returncode == ChildFailed.exit_code

@@ -19,17 +19,19 @@ import numpy as np
 import psutil
 import pytest
 
-from agent.host.share import one_memory_layout, share_out
+from agent.host.flock import lock
+from agent.host.share import share_out
 from agent.log.read import RunLog, read_log
-from agent.process.run_folder import run_folder
+from agent.process.run_folder import LOCK, PREFIX, run_folder
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.process.conftest import PAPER_RUN_S
 from tests.support.command import coop as line
 from tests.support.coop import COOP, PAPER, TIMEOUT_S, ready, start
+from tests.support.members import member
 
 ROWS = 200 * PAPER_RUN_S
-ADDR_NO_RANDOMIZE = 0x0040000
-ARMS = ("--arm left", "--arm right")
+ARMS = ("arm-left", "arm-right")
+LISTENERS = ("recorder", "telemetry-left", "telemetry-right", "telemetry-plant")
 
 
 def ours(token: str) -> list[psutil.Process]:
@@ -42,16 +44,15 @@ def ours(token: str) -> list[psutil.Process]:
     return found
 
 
-def child(token: str, run: subprocess.Popen[str], timeout_s: float = 30.0) -> psutil.Process:
-    """The child of `run` whose command line holds `token`, once it is there."""
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline and run.poll() is None:
-        for process in psutil.Process(run.pid).children():
-            with contextlib.suppress(psutil.NoSuchProcess):  # one that ended meanwhile
-                if token in " ".join(process.cmdline()):
-                    return process
-        time.sleep(0.02)
-    raise AssertionError(f"no child with {token!r}: {run.communicate()}")
+def is_used(folder: Path) -> bool:
+    """Whether the run whose folder it is lives."""
+    with contextlib.suppress(FileNotFoundError):
+        held = os.open(folder / LOCK, os.O_RDWR)
+        try:
+            return not lock(held)
+        finally:
+            os.close(held)
+    return False
 
 
 def wait_for_rows(out: Path, run: subprocess.Popen[str], timeout_s: float = 60.0) -> None:
@@ -79,7 +80,7 @@ def left_clean(folder: Path) -> Iterator[Path]:
 
     def unused() -> list[Path]:
         """Folders that no other run uses; one that begins or ends beside this test is among them for a moment."""
-        return [left for left in set(Path("/dev/shm").glob("coop-*")) - before if not ours(str(left))]
+        return [left for left in set(Path("/dev/shm").glob("coop-*")) - before if not is_used(left)]
 
     deadline = time.monotonic() + 30
     while any(found := (ours(str(folder)), unused())) and time.monotonic() < deadline:
@@ -129,8 +130,9 @@ def test_the_logged_torque_is_the_sum_of_its_logged_terms(paper_runs: tuple[Path
         np.testing.assert_allclose(sum(rows[n] for n in summed), rows["tau_cmd"], atol=1e-12)
 
 
-def has_fixed_layout(pid: int) -> bool:
-    return bool(int(Path(f"/proc/{pid}/personality").read_text(), 16) & ADDR_NO_RANDOMIZE)
+def code_start(pid: int) -> int:
+    """Where the interpreter's own code begins in its memory, which is another address for each that is started anew."""
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[23])
 
 
 @dataclass(frozen=True)
@@ -139,8 +141,8 @@ class Stopped:
 
     inet: list[Any]  # network sockets of the left arm's agent while it ran
     mapped: list[str]  # files in its memory
-    cores: dict[str, list[int]]  # of each process, by a part of its command line
-    fixed_layout: dict[str, bool]  # whether its memory layout is the one without randomness
+    cores: dict[str, list[int]]  # of each process, by its name
+    starts: dict[str, int]  # where the code of Python lies in each, and in the command
     returncode: int
     out: str
     err: str
@@ -152,16 +154,14 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stopped]:
     with left_clean(tmp_path_factory.mktemp("stopped")) as folder:
         run = start("run", PAPER, "--duration", "1000", "--no-report", "--out", folder / "out", cwd=folder)
         wait_for_rows(folder / "out", run)
-        agent = child("--arm left", run)
+        agent = member("arm-left", run)
         inet, mapped = agent.net_connections(kind="inet"), [m.path for m in agent.memory_maps()]
-        members = {word: child(word, run) for word in (*ARMS, "process plant", "process record", "process telemetry")}
-        cores = {word: process.cpu_affinity() for word, process in members.items()}
-        fixed_layout = {word: has_fixed_layout(process.pid) for word, process in members.items()}
+        members = {name: member(name, run) for name in (*ARMS, "plant", *LISTENERS)}
+        cores = {name: process.cpu_affinity() for name, process in members.items()}
+        starts = {name: code_start(process.pid) for name, process in members.items()} | {"": code_start(run.pid)}
         run.send_signal(signal.SIGINT)
         out, err = run.communicate(timeout=60)
-        yield Stopped(
-            inet, mapped, cores, fixed_layout, run.returncode, out, err, read_log(folder / "out" / "run.mcap")
-        )
+        yield Stopped(inet, mapped, cores, starts, run.returncode, out, err, read_log(folder / "out" / "run.mcap"))
 
 
 def test_ctrl_c_ends_everything_and_leaves_a_readable_log(stopped: Stopped) -> None:
@@ -178,24 +178,19 @@ def test_the_agent_process_opens_no_network_socket(stopped: Stopped) -> None:
 
 def test_every_process_of_a_lockstep_run_keeps_to_its_cores(stopped: Stopped) -> None:
     cores = share_out(len(ARMS), os.sched_getaffinity(0))
-    of_others = {"process plant": cores.plant, "process record": cores.listeners, "process telemetry": cores.listeners}
-    kept = dict(zip(ARMS, cores.arms, strict=True)) | of_others
+    kept = dict(zip(ARMS, cores.arms, strict=True)) | {"plant": cores.plant} | dict.fromkeys(LISTENERS, cores.listeners)
     assert {word: set(found) for word, found in stopped.cores.items()} == kept
 
 
-def test_only_what_no_network_reaches_gives_up_its_random_layout(stopped: Stopped) -> None:
-    with one_memory_layout():
-        permitted = has_fixed_layout(os.getpid())
-    expected = {"process plant": permitted, "process record": False, "process telemetry": False} | dict.fromkeys(
-        ARMS, permitted
-    )
-    assert stopped.fixed_layout == expected
+def test_the_processes_of_a_run_are_copies_of_the_command_and_share_its_code(stopped: Stopped) -> None:
+    assert len(stopped.starts) == 1 + 3 + len(LISTENERS)
+    assert len(set(stopped.starts.values())) == 1
 
 
 def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> None:
     run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
     wait_for_rows(nothing_left / "out", run)
-    agent = child("--arm right", run)
+    agent = member("arm-right", run)
     agent.kill()
     _, err = run.communicate(timeout=60)
     assert run.returncode not in (0, None)
@@ -209,7 +204,7 @@ def test_a_killed_run_takes_its_processes_with_it(nothing_left: Path) -> None:
     run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
     wait_for_rows(nothing_left / "out", run)
     children = psutil.Process(run.pid).children()
-    (left,) = {Path(word).parent for child in children for word in child.cmdline() if word.endswith("cell.toml")}
+    (left,) = {Path(mapped.path).parent for mapped in member("plant", run).memory_maps() if PREFIX in mapped.path}
     run.kill()
     run.communicate(timeout=10)
     _, alive = psutil.wait_procs(children, timeout=20)

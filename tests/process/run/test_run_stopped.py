@@ -20,7 +20,7 @@ from tests.support.stops import stop_flag
 class _StoppedAtOnce:
     """A person who presses Ctrl-C when the first thing is done."""
 
-    def phase(self, what: str) -> None:
+    def phase(self, what: str, **_: object) -> None:
         assert what == "checking"
         signal.raise_signal(signal.SIGINT)
 

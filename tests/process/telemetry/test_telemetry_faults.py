@@ -26,11 +26,12 @@ from agent.log.file import LogFileError
 from agent.log.read import LogError, read_log
 from agent.log.scan import library_of
 from agent.telemetry.link import record
+from agent.telemetry.link.endpoint import NetworkError
 from agent.telemetry.link.inbox import Inbox
 from agent.telemetry.link.intake import Rejection
 from agent.telemetry.link.publication import Pace, PublishReport
 from agent.telemetry.link.record import RecordOptions, RecordReport
-from agent.telemetry.link.session import Network, NetworkError, open_session
+from agent.telemetry.link.session import Network, open_session
 from agent.telemetry.link.wire import BatchHeader, End
 from agent.telemetry.row.topics import BadName
 from tests.support.telemetry.one_arm import (

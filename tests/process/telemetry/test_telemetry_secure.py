@@ -14,8 +14,9 @@ import zenoh
 from agent.config.files import load_files
 from agent.log.read import read_log
 from agent.pki.make import Wish, make, renew
+from agent.telemetry.link.endpoint import NetworkError
 from agent.telemetry.link.publication import Pace
-from agent.telemetry.link.session import Network, NetworkError, has_link, open_session
+from agent.telemetry.link.session import Network, has_link, open_session
 from agent.telemetry.link.wire import BatchHeader
 from tests.support.few import long
 from tests.support.ports import free_port

@@ -14,7 +14,8 @@ import pytest
 from agent.host.ready_line import values_of
 from agent.log.read import RunLog, open_log, read_log
 from agent.report.prepared import prepare
-from agent.telemetry.link.session import FREE_PORT, Network, open_session
+from agent.telemetry.link.endpoint import FREE_PORT
+from agent.telemetry.link.session import Network, open_session
 from agent.telemetry.row.topics import Address, Kind
 from agent.view.camera import Camera
 from agent.view.draw import project

@@ -16,9 +16,10 @@ import numpy as np
 
 from agent.log.file import Attachment
 from agent.telemetry.link import publish, record
+from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.link.publication import Pace, PublishOptions
 from agent.telemetry.link.record import RecordOptions
-from agent.telemetry.link.session import FREE_PORT, Network
+from agent.telemetry.link.session import Network
 from agent.telemetry.link.wire import Sent, seal_of
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.ring.writer import RingWriter

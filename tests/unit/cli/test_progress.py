@@ -46,6 +46,22 @@ def test_steps_spin_on_a_terminal_and_leave_nothing(terminal: Terminal) -> None:
     assert terminal.getvalue().rstrip().endswith("\x1b[2K"), "the last thing done is to clear the line"
 
 
+def turning() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if isinstance(thread, _RefreshThread)]
+
+
+def test_a_step_in_which_processes_are_copied_is_shown_without_a_thread(terminal: Terminal) -> None:
+    with redirect_stderr(terminal), RunProgress() as progress:
+        progress.phase("checking")
+        assert len(turning()) == 1
+        progress.phase("starting", still=True)
+        assert turning() == []
+        progress.phase("torque on")
+        assert len(turning()) == 1
+    assert any("starting" in line for line in lines(terminal))
+    assert turning() == []
+
+
 def test_steps_are_lines_elsewhere_where_asked() -> None:
     with redirect_stderr(io.StringIO()) as shown, Steps(lines=True) as step:
         step("looking")

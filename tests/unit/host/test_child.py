@@ -17,7 +17,7 @@ import pytest
 from agent.host.child import Child, ChildFailed
 from agent.host.ready_line import pairs
 from agent.host.starting import ready
-from agent.process.__main__ import _told, _told_parent
+from agent.process.entry import _told, _told_parent
 
 
 def test_a_child_that_fails_is_told_of_though_its_words_are_gone(

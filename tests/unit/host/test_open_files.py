@@ -10,7 +10,8 @@ import pytest
 
 from agent.host import open_files
 from agent.host.starting import of_host
-from agent.telemetry.link.session import FREE_PORT, Network, NetworkError, open_session
+from agent.telemetry.link.endpoint import FREE_PORT, NetworkError
+from agent.telemetry.link.session import Network, open_session
 
 NO_LIMIT = resource.RLIM_INFINITY
 

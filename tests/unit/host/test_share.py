@@ -1,16 +1,10 @@
-"""Which cores the processes of a run keep to, and what one memory layout leaves behind."""
+"""Which cores the processes of a run keep to."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
-from agent.host.share import one_memory_layout, share_out
-
-ADDR_NO_RANDOMIZE = 0x0040000
+from agent.host.share import share_out
 
 
 @pytest.mark.parametrize(
@@ -51,29 +45,3 @@ def test_without_a_core_to_spare_the_plant_keeps_to_one_and_listeners_to_none(
 def test_where_a_core_is_to_spare_plant_and_listeners_are_free(arms: int, allowed: set[int]) -> None:
     cores = share_out(arms, allowed)
     assert cores.plant == cores.listeners == allowed
-
-
-def personality() -> int:
-    return int(Path("/proc/self/personality").read_text(), 16)
-
-
-def of_a_child() -> int:
-    code = "import pathlib; print(pathlib.Path('/proc/self/personality').read_text())"
-    return int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout, 16)
-
-
-def test_one_memory_layout_is_for_what_is_started_within() -> None:
-    before = personality()
-    with one_memory_layout():
-        if not personality() & ADDR_NO_RANDOMIZE:
-            pytest.skip("this host does not let a process choose its memory layout")
-        assert of_a_child() & ADDR_NO_RANDOMIZE
-    assert personality() == before
-    assert not of_a_child() & ADDR_NO_RANDOMIZE
-
-
-def test_the_layout_is_given_back_after_an_error() -> None:
-    before = personality()
-    with pytest.raises(RuntimeError, match="inside"), one_memory_layout():
-        raise RuntimeError("inside")
-    assert personality() == before

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pytest
 from agent.cli.main import whole
 from agent.config.schema.driver import DriverKind
 from agent.host.starting import USAGE
-from agent.process.__main__ import main
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -23,6 +21,7 @@ from agent.process.commands import (
     TelemetryCommand,
     read,
 )
+from agent.process.entry import main
 from agent.process.loss import AfterLoss
 
 CELL = Path("/dev/shm/coop-x/cell.toml")
@@ -169,10 +168,9 @@ def test_the_order_of_words_is_verb_cell_options() -> None:
 
 @pytest.mark.parametrize("words", [(), ("agent",), ("dance", "paper"), ("agent", "paper"), ("agent", "paper", "--arm")])
 def test_words_of_no_command_are_refused_in_one_line(
-    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["process", *words])
-    assert main() == USAGE
+    assert main(words) == USAGE
     found = " ".join(words) or "no words"
     assert capsys.readouterr().err == (
         f"coop: process: found {found}, expected those of a typed command; use `coop VERB`\n"

@@ -13,9 +13,9 @@ from agent.process import telemetry as telemetries
 from agent.process.commands import RecordCommand, TelemetryCommand
 from agent.process.listening import missing, record, telemetry
 from agent.process.started import Listener
+from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.link.publication import PublishReport
 from agent.telemetry.link.record import RecordReport
-from agent.telemetry.link.session import FREE_PORT
 from agent.telemetry.link.wire import End
 from tests.support.documents import ROOT
 

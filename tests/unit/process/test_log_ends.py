@@ -12,15 +12,15 @@ import configs
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.log.recover import RecoverReport
-from agent.process import __main__ as process_main
+from agent.process import entry as process_main
 from agent.process import children, recorder
 from agent.process.children import Children
 from agent.process.commands import RecordCommand
 from agent.process.listening import record as started
 from agent.process.run_kind import RunKind
 from agent.process.started import Listener
+from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.link.record import RecordReport
-from agent.telemetry.link.session import FREE_PORT
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 
@@ -55,7 +55,7 @@ class Watching:
     def __init__(self) -> None:
         self.notes: list[str] = []
 
-    def phase(self, what: str) -> None:
+    def phase(self, what: str, *, still: bool = False) -> None:
         """Not looked at."""
 
     def note(self, text: str) -> None:
@@ -144,5 +144,5 @@ def test_a_process_of_a_run_warns_in_its_words_and_by_its_parent(
     monkeypatch.setattr(process_main, "settle", lambda: None)
     monkeypatch.setattr(process_main, "read", lambda _: None)
     monkeypatch.setattr(process_main, "run", warn)
-    assert process_main.main() == 0
+    assert process_main.main(()) == 0
     assert capsys.readouterr() == ("TELLS the log ENDS HERE\n", "the log ENDS HERE\n")

@@ -16,7 +16,7 @@ class Watching:
     def __init__(self) -> None:
         self.told: list[tuple[float, float, float, float | None]] = []
 
-    def phase(self, what: str) -> None:
+    def phase(self, what: str, **_: object) -> None:
         raise AssertionError(what)
 
     def note(self, text: str) -> None:

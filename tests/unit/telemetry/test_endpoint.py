@@ -7,7 +7,8 @@ from contextlib import closing
 
 import pytest
 
-from agent.telemetry.link.session import EndpointError, Network, NetworkError, open_session, require_endpoint
+from agent.telemetry.link.endpoint import EndpointError, NetworkError, require_endpoint
+from agent.telemetry.link.session import Network, open_session
 
 PLACES = ("tcp/127.0.0.1:0", "tcp/[::1]:7448", "udp/localhost:65535", "ws/cell.lab:80#iface=eth0")
 
