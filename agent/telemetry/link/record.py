@@ -131,9 +131,8 @@ class _Recorder:
         self._budget_s = time.monotonic()
         self._open(options.path)
         self._completeness: dict[str, str] | None = None
-        self._status_s = 0.0
+        self._status_s, self._cause = 0.0, ""
         self._taken = False  # anything since the status was made
-        self._cause = ""
         self._kept: dict[str, StreamStatus] | None = None  # what is in the log, once it has ended before its time
         self._to_write = False  # of a stream that has ended: its publisher goes once it is told that all is here
         self._refresh_status()

@@ -12,8 +12,8 @@ import configs
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.log.recover import RecoverReport
-from agent.process import entry as process_main
 from agent.process import children, recorder
+from agent.process import entry as process_main
 from agent.process.children import Children
 from agent.process.commands import RecordCommand
 from agent.process.listening import record as started
