@@ -107,7 +107,7 @@ def run(
     ] = False,
     whole: Annotated[bool, typer.Option("--whole", help="With --wire: from rest to the object and back.")] = False,
     faults: Annotated[Path | None, typer.Option(help="Faults of the emulated servos, JSON lines.")] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound of the cell file is missed.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound is missed or the object lost.")] = False,
     listen: Annotated[str | None, typer.Option(help="Endpoint for live viewers (default: a free port).")] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Draw the report, or results alone.")] = True,
     force: Force = False,

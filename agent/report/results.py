@@ -200,8 +200,9 @@ class Results:
 
     @property
     def within_bounds(self) -> bool:
-        """True when every bound that the cell sets is shown to be met; also true where it sets none."""
-        return all(self.verdict(bounded) is Judgement.MET for bounded in self.info.bounds)
+        """True when every bound that the cell sets, if any, is shown to be met and no object or grasp is known lost."""
+        kept = self.loss is None or self.loss.kept
+        return kept and all(self.verdict(bounded) is Judgement.MET for bounded in self.info.bounds)
 
     @property
     def rehearsing(self) -> list[str]:
