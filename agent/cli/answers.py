@@ -35,7 +35,8 @@ def events(
         step("reading the log")
         with open_log(log, any_layout=True) as opened:
             _refuse_strangers(opened, arm)
-            asked = [event for event in opened.events if not arm or event.source in arm]
+            every = _told_and_lost(opened)
+            asked = [event for event in every if not arm or event.source in arm]
             timed = [(trajectory_time(event, opened.agents.get(event.source)), event) for event in asked]
     chosen = [(t, event) for t, event in timed if from_s <= t < to_s or math.isnan(t)]
     for problem in opened.problems:
@@ -47,7 +48,20 @@ def events(
         when = _day_time(event) if math.isnan(t) else f"{t:.3f} s"
         typer.echo(f"{when:>12}  {event.source:<10} {event.level.name:<6} {event.text}")
     if not chosen:
-        note(f"{log}: no event {'of these' if opened.events else 'at all'}")
+        note(f"{log}: no event {'of these' if every else 'at all'}")
+
+
+def _told_and_lost(log: ColumnLog) -> list[Event]:
+    """The events of a log, and what became of the object by the plant's rows, if the rows are of this release."""
+    from agent.report.loss import told
+    from agent.report.prepared import prepare
+    from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
+
+    if log.plant is None or any(
+        own.dtype not in (AGENT_STATE.dtype, PLANT_STATE.dtype) for own in log.layouts.values()
+    ):
+        return list(log.events)
+    return sorted([*log.events, *told(prepare(log))], key=lambda event: event.utc_ns)
 
 
 def _refuse_strangers(log: ColumnLog, names: list[str]) -> None:

@@ -60,11 +60,17 @@ class LogMaker:
 
 
 def make_log(
-    path: Path, count: int = 100, *, batches: int = 5, finish: bool = True, events: Sequence[Event] = ()
+    path: Path,
+    count: int = 100,
+    *,
+    batches: int = 5,
+    finish: bool = True,
+    events: Sequence[Event] = (),
+    plant: bool = True,
 ) -> dict[str, np.ndarray]:
     """A log of two arms and the plant; returns its rows by member."""
-    maker = LogMaker(path)
-    rows = {member: make_rows(member, count) for member in (*ARMS, PLANT)}
+    maker = LogMaker(path, has_plant=plant)
+    rows = {member: make_rows(member, count) for member in (*ARMS, *([PLANT] if plant else ()))}
     for part in np.array_split(np.arange(count), batches):
         for member, all_rows in rows.items():
             maker.write(member, all_rows[part])

@@ -18,6 +18,7 @@ from agent.telemetry.row.event import Event, Level
 from tests.support.command import coop
 from tests.support.telemetry.log_maker import LogMaker, make_log
 from tests.support.telemetry.run_log import flipped, write_other_release, write_run
+from tests.support.telemetry.small_run import small_run
 from tests.support.telemetry.synthetic_run import paper_rows, turn
 from tests.support.telemetry.telemetry_cell import UTC_0_NS, make_rows
 
@@ -37,6 +38,7 @@ def events_log(path: Path) -> Path:
     t = {"t": 31.005, "flag": "OFF_TRACK"}
     make_log(
         path,
+        plant=False,
         events=[
             Event(7, "left", Level.WARN, "safety: off track", t),
             Event(8, "left", Level.WARN, "mode TRACK → HOLD", {"t": 31.01}),
@@ -93,7 +95,7 @@ def test_events_are_chosen_by_arm_and_time(tmp_path: Path) -> None:
 
 
 def test_a_log_without_events_says_so_whoever_is_asked_for(tmp_path: Path) -> None:
-    make_log(log := tmp_path / "run.mcap")
+    make_log(log := tmp_path / "run.mcap", plant=False)
     for arm in ((), ("--arm", "left")):
         assert coop("events", log, *arm).err == f"{log}: no event at all\n"
 
@@ -114,6 +116,24 @@ def test_a_name_that_nobody_in_the_log_has_is_refused(
 def test_an_arm_of_the_cell_that_a_log_has_nothing_of_is_no_stranger(tmp_path: Path) -> None:
     log = write_run(tmp_path / "run.mcap", PAPER, {"left": rows_of(-1.0)})
     assert coop("events", log, "--arm", "right").code == 0
+
+
+def test_the_loss_of_the_object_is_an_event_at_its_time_though_nobody_told_it(tmp_path: Path) -> None:
+    run = small_run()
+    run.plant["contact_error_m"][220:, 1] = np.nan
+    run.plant["p_object"][240:, 2] -= 0.5
+    maker = LogMaker(tmp_path / "run.mcap")
+    for member, rows in {**run.agents, "plant": run.plant}.items():
+        maker.write(member, rows)
+    maker.event(Event(int(run.plant["utc_ns"][300]), "left", Level.INFO, "run ended", {"t": 1.5}))
+    maker.finish()
+    assert coop("events", tmp_path / "run.mcap").out.splitlines() == [
+        "     1.100 s  plant      ERROR  the grasp of right is open",
+        "     1.200 s  plant      ERROR  the object is lost",
+        "     1.500 s  left       INFO   run ended",
+    ]
+    told = json.loads(coop("events", tmp_path / "run.mcap", "--arm", "plant", "--from", "1.15", "--json").out)
+    assert [(e["t_s"], e["source"], e["text"]) for e in told["events"]] == [(1.2, "plant", "the object is lost")]
 
 
 # grasps
