@@ -13,7 +13,7 @@ from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
 from agent.control.quaternion import angle_between
-from agent.report.loss import LOST_M, is_lost
+from agent.report.loss import LOST_M, LOST_RAD, is_lost
 from agent.report.series import internal_wrenches, largest_force, largest_or_zero
 from agent.study.fault import Fault
 from agent.study.lab import Laboratory, Run
@@ -40,6 +40,8 @@ def bounds_of(cell: Cell) -> dict[str, float]:
 @dataclass(frozen=True)
 class RunResult:
     """Figures of one run.  Errors and forces count from the transient's end to the end, the loss or the first trip.
+
+    The errors of a lost run are at least those at which an object counts as lost.
 
     A fault ends nothing: what it does to the object is what they are for.  Of a run that is not `settled` everything
     from the common start to its end counts, and what was seen before where that is all.
@@ -146,9 +148,10 @@ class _Seen:
             counted = np.ones(len(seen), dtype=bool)
         _, off_m, off_rad, own_m, own_rad = seen[counted].T
         force = self._internal_force_N()[counted]
+        least_m, least_rad = (LOST_M, LOST_RAD) if lost else (0.0, 0.0)  # what comes behind the loss was not measured
         bounded = {
-            "position_beyond_anchor_m": largest_or_zero(off_m - own_m),
-            "attitude_beyond_anchor_rad": largest_or_zero(off_rad - own_rad),
+            "position_beyond_anchor_m": max(largest_or_zero(off_m - own_m), least_m),
+            "attitude_beyond_anchor_rad": max(largest_or_zero(off_rad - own_rad), least_rad),
             "internal_force_mean_N": float(force.mean()) if len(force) else 0.0,
             "peak_torque_fraction": float((run.peak_Nm / lab.stall_Nm).max()),
         }
@@ -164,8 +167,8 @@ class _Seen:
             tracked_s=max(0.0, min([until_s, *(fault.at_s for fault in faults)])),
             tripped_s=None if trip is None else trip.t,
             lost_s=None if lost is None else lost[0],
-            position_error_m=max(largest_or_zero(off_m), LOST_M if lost else 0.0),
-            attitude_error_rad=largest_or_zero(off_rad),
+            position_error_m=max(largest_or_zero(off_m), least_m),
+            attitude_error_rad=max(largest_or_zero(off_rad), least_rad),
             internal_force_max_N=largest_or_zero(force),
             reaction_s=_reaction_s(run, faults),
             tripped_by="" if trip is None else trip.by,

@@ -18,7 +18,7 @@ from agent.report.page import STYLE
 from agent.report.plotting import BLUE, RED, panels, save_png, styled
 from agent.study.fault import Fault
 from agent.study.measure import RunResult
-from agent.study.summary import FIGURES, PROMISED, QUANTILES, Influence, counting, verdict
+from agent.study.summary import FIGURES, PROMISED, QUANTILES, Influence, counted, counting, verdict
 
 SHOWN: Final = 12  # influences in the table
 DRAWN: Final = (  # figure, its axis, factor
@@ -101,10 +101,11 @@ def _distribution(results: Sequence[RunResult]) -> Figure:
     """Of each figure, the share of runs that do not exceed it; lost and tripped runs are marked."""
     figure, axes = panels(2, 2, sharex=False, sharey=True, gap_in=0.7)
     for ax, (key, label, factor) in zip(axes, DRAWN, strict=True):
-        order = sorted(results, key=lambda r: float(getattr(r, key)))
-        values = factor * np.array([float(getattr(r, key)) for r in order])
+        every = np.array(counted(results, key), dtype=np.float64)
+        order = np.argsort(every, kind="stable")
+        values = factor * every[order]
         share = np.arange(1, len(order) + 1) / len(order)
-        bad = np.array([r.lost or r.tripped for r in order], dtype=bool)
+        bad = np.array([r.lost or r.tripped for r in results], dtype=bool)[order]
         ax.step(values, share, where="post", color=BLUE)
         ax.plot(values[bad], share[bad], "x", color=RED, markersize=4, label="lost or tripped")
         ax.set_xlabel(label)

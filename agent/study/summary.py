@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Final
@@ -44,7 +44,7 @@ class Influence:
 
 
 def summary(results: Sequence[RunResult], faults: Sequence[Fault] = ()) -> dict[str, Any]:
-    """Counts, and quantiles of each figure over all runs; a lost run counts with what was measured until then.
+    """Counts, and quantiles of each figure over all runs, lost ones as `counted` has them.
 
     faults: of every run.  One that no other arm notices counts as noticed later than any.
     """
@@ -55,11 +55,23 @@ def summary(results: Sequence[RunResult], faults: Sequence[Fault] = ()) -> dict[
         "tripped_by": dict(Counter(sorted(r.tripped_by for r in results if r.tripped))),
         "within_bounds": sum(r.within_bounds for r in results),
         "unsettled": sum(not r.settled for r in results),
-    } | {figure: _quantiles([getattr(r, figure) for r in results]) for figure in FIGURES}
+    } | {figure: _quantiles(counted(results, figure)) for figure in FIGURES}
     if faults:
         found["unnoticed"] = sum(r.reaction_s is None for r in results)
         found["tripped_before_fault"] = sum(gave_up(r.tripped_s, faults) for r in results)
     return found
+
+
+def counted(results: Sequence[RunResult], figure: str) -> list[float | None]:
+    """One figure of every run; a lost run, of which the rest is not known, has the largest of all runs.
+
+    But for a reaction, which is what it is whatever became of the object.
+    """
+    values = [getattr(r, figure) for r in results]
+    if figure == "reaction_s" or not any(r.lost for r in results):
+        return values
+    largest = max(values)
+    return [largest if r.lost else value for r, value in zip(results, values, strict=True)]
 
 
 def judged(cell: Cell, found: Mapping[str, Any]) -> dict[str, Any]:
@@ -172,8 +184,8 @@ def influences(cell: Cell, results: Sequence[RunResult]) -> list[Influence]:
         return []
     drawn = [errors_of(draw(cell.file.tolerance, r.seed, cell), cell) for r in results]
     errors = {key: np.array([d[key] for d in drawn]) for key in drawn[0]}
-    known: Callable[[str], bool] = lambda figure: all(getattr(r, figure) is not None for r in results)  # noqa: E731
-    figures = {f: np.array([float(getattr(r, f)) for r in results]) for f in FIGURES if known(f)}
+    every = {figure: counted(results, figure) for figure in FIGURES}
+    figures = {figure: np.array(values, dtype=np.float64) for figure, values in every.items() if None not in values}
     found = [
         Influence(error, figure, _spearman(x, y))
         for error, x in errors.items()

@@ -170,7 +170,12 @@ def test_an_anchor_that_sees_nothing_excuses_nothing(monkeypatch: pytest.MonkeyP
 def test_a_run_of_which_nothing_was_seen_is_lost_and_has_no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     found, _ = result(monkeypatch, ends_s=-0.5)
     assert (found.lost, found.tracked_s, found.position_error_m) == (True, 0.0, 0.1)
-    assert (found.attitude_error_rad, found.internal_force_max_N, found.internal_force_mean_N) == (0.0, 0.0, 0.0)
+    assert (found.attitude_error_rad, found.position_beyond_anchor_m, found.attitude_beyond_anchor_rad) == (
+        1.0,
+        0.1,
+        1.0,
+    )
+    assert (found.internal_force_max_N, found.internal_force_mean_N) == (0.0, 0.0)
 
 
 def test_the_instants_at_which_the_transient_ends_and_an_arm_trips_count(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,7 +248,9 @@ def test_a_plant_that_fails_is_a_lost_run_however_near_its_object_was(monkeypatc
     found, _ = result(monkeypatch, ends_s=4.0)
     assert (found.lost, found.within_bounds, found.why) == (True, False, "t = 4.000 s: the plant")
     assert (found.position_error_m, found.lost_s) == (0.1, pytest.approx(4.0))
-    assert found.position_beyond_anchor_m == pytest.approx(0.6e-3)
+    assert found.attitude_error_rad == 1.0
+    assert (found.position_beyond_anchor_m, found.attitude_beyond_anchor_rad) == (0.1, 1.0)
+    assert found.internal_force_mean_N == pytest.approx(0.4)
 
 
 def test_the_motion_is_timed_by_the_anchors_clock(monkeypatch: pytest.MonkeyPatch) -> None:

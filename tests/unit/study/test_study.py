@@ -41,7 +41,18 @@ from agent.study.plan import Plan, Task, load_plan
 from agent.study.provenance import hash_of, provenance
 from agent.study.store import RUNS_FILE, Store, StudyError
 from agent.study.study import RESULTS, Work, _row, run_study
-from agent.study.summary import ENOUGH_RUNS, _spearman, counting, errors_of, influences, judged, summary, verdict, worst
+from agent.study.summary import (
+    ENOUGH_RUNS,
+    FIGURES,
+    _spearman,
+    counting,
+    errors_of,
+    influences,
+    judged,
+    summary,
+    verdict,
+    worst,
+)
 from agent.study.work import ATTEMPTS, here, in_processes, until
 from agent.verify.check import examine
 from drivers.interface import Refusal
@@ -405,10 +416,26 @@ def test_quantiles_are_of_all_runs_and_counts_of_each_kind() -> None:
     results[0] = replace(results[0], lost=True, within_bounds=False)
     results[1] = replace(results[1], tripped=True, within_bounds=False)
     found = summary(results)
-    assert found["internal_force_mean_N"] == {"50": 50.0, "95": 95.0, "100": 100.0}
+    assert found["internal_force_mean_N"] == {"50": 51.0, "95": 96.0, "100": 100.0}, (
+        "the lost one counts as the largest"
+    )
     assert (found["runs"], found["lost"], found["tripped"], found["within_bounds"]) == (100, 1, 1, 98)
     assert found["reaction_s"] == summary([])["reaction_s"] == {"50": None, "95": None, "100": None}
     assert not {"unnoticed", "tripped_before_fault"} & set(found), "nothing befell anybody"
+
+
+def test_a_lost_run_looks_good_in_no_figure() -> None:
+    """However calm it was until then: it counts as the largest of all, and as a number."""
+    kept = [a_result(i, peak_torque_fraction=0.1 * i, reaction_s=0.2) for i in range(1, 5)]
+    calm = {"internal_force_mean_N": 0.0, "internal_force_max_N": 0.0, "peak_torque_fraction": 0.0}
+    lost = [a_result(i, lost=True, within_bounds=False, reaction_s=0.1, **calm) for i in range(5, 10)]
+    for runs in ([*kept, *lost], [*lost, *kept]):
+        found = summary(runs)
+        assert found["peak_torque_fraction"] == dict.fromkeys(("50", "95", "100"), pytest.approx(0.4))
+        assert found["internal_force_mean_N"]["50"] == 0.5
+        assert found["reaction_s"] == {"50": 0.1, "95": 0.2, "100": 0.2}
+    only = summary(lost)
+    assert all(math.isfinite(value) for figure in FIGURES for value in only[figure].values())
 
 
 def test_a_fault_that_nobody_notices_counts_as_noticed_later_than_any() -> None:
