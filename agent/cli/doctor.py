@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import AsJson, CellPath, Overrides, SomeArms, confirmed
+from agent.cli.options import AsJson, CellPath, Overrides, SomeArms, confirmed, print_json
 from agent.cli.progress import Steps
 from agent.host.starting import end_at_ctrl_z
 
@@ -33,7 +33,7 @@ def doctor(
         end_at_ctrl_z()
         move_arm(described, options, confirmed, diagnosis)
     if as_json:
-        typer.echo(diagnosis.json())
+        print_json(diagnosis.document())
     else:
         colours = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.REFUSED: "red"}
         for finding in diagnosis.findings:

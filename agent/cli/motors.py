@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +9,7 @@ import typer
 
 from agent.cli import complete
 from agent.cli.help import Commands
-from agent.cli.options import ArmName, AsJson, CellPath, Force, Overrides, note, require_yes
+from agent.cli.options import ArmName, AsJson, CellPath, Force, Overrides, note, print_json, require_yes
 from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
@@ -18,6 +17,8 @@ if TYPE_CHECKING:
 
     from agent.config.schema.arm import ArmFile
     from agent.motors.find import ServoSeen
+
+SCHEMA = 1  # of scan --json; grows when a key changes its meaning
 
 app = typer.Typer(cls=Commands, rich_markup_mode=None, help="Servos one by one: find, set up, save, restore.")
 
@@ -59,7 +60,7 @@ def scan(
     for refusal in refused:
         note(f"coop: {refusal}")
     if as_json:
-        typer.echo(json.dumps([_as_row(servo) for servo in seen], indent=2))
+        print_json({"schema": SCHEMA, "servos": [_as_row(servo) for servo in seen]})
     else:
         _print_servos(seen)
     if not seen:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -31,6 +30,7 @@ from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.line.port import Port, SerialPort
 from drivers.interface import Clock, DriverError, Refusal, Vector
 
+SCHEMA = 1
 LOG_MARGIN = 1.2  # messages and indices of a log beside its rows
 
 Tell = Callable[[str], None]
@@ -63,16 +63,16 @@ class Diagnosis:
         """0: all ok; 1: warnings; 2: problems."""
         return exit_code(self.findings)
 
-    def json(self) -> str:
-        """The whole for scripts."""
-        document: dict[str, Any] = {
+    def document(self) -> dict[str, Any]:
+        """The whole for scripts; `schema` grows when a key changes its meaning."""
+        return {
+            "schema": SCHEMA,
             "cell": self.cell,
             "fingerprint": self.fingerprint,
             "verdict": worst(self.findings).value,
             "findings": [finding.document() for finding in self.findings],
             "cycles": {arm: _figures(figures) for arm, figures in self.cycles.items()},
         }
-        return json.dumps(document, indent=2, ensure_ascii=False)
 
 
 def diagnose(cell: Cell, options: DoctorOptions, tell: Tell) -> Diagnosis:

@@ -117,7 +117,9 @@ BY_DRIVER = (
 def test_scan_lists_what_the_sdk_sees_and_how_it_is(three: Path) -> None:
     done = coop("motors", "scan", "--port", three, "--baud", "1000000", "--json")
     assert done.code == 0, done.err
-    rows = json.loads(done.out)
+    document = json.loads(done.out)
+    rows = document["servos"]
+    assert (list(document), document["schema"]) == (["schema", "servos"], 1)
     with Witness(three) as witness:
         assert {row["id"]: [row["model_number"], row["firmware"]] for row in rows} == witness.servos()
         assert [witness.byte(i, 64) for i in (2, 3, 9)] == [0, 0, 0]
@@ -130,7 +132,7 @@ def test_scan_lists_what_the_sdk_sees_and_how_it_is(three: Path) -> None:
 def test_scan_finds_nothing_and_says_so_in_its_exit_code(three: Path) -> None:
     done = coop("motors", "scan", "--port", three, "--baud", "2000000", "--json")
     assert done.code == 1
-    assert json.loads(done.out) == []
+    assert json.loads(done.out) == {"schema": 1, "servos": []}
     assert "is the 12 V supply on?" in done.err
 
 
@@ -139,7 +141,8 @@ def test_a_shared_id_is_named_which_the_sdk_does_not_see(port: Path) -> None:
         with Witness(port) as witness:
             assert 5 not in witness.servos()
         done = coop("motors", "scan", "--port", port, "--baud", "1000000", "--json")
-    assert [(row["id"], row["note"]) for row in json.loads(done.out)] == [(5, "more than one servo has this ID")]
+    rows = json.loads(done.out)["servos"]
+    assert [(row["id"], row["note"]) for row in rows] == [(5, "more than one servo has this ID")]
 
 
 @pytest.mark.parametrize("how", [BY_SDK, BY_DRIVER], ids=["without a lock", "locked"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import threading
 from contextlib import redirect_stderr, redirect_stdout
@@ -167,6 +168,9 @@ def test_doctor_says_what_it_looks_at(tmp_path: Path) -> None:
         "looking at the host and the cell file", "looking at arm left", "looking at arm right",
     ]  # fmt: skip
     assert done.code == 2
+    document = json.loads(done.out)
+    assert list(document) == ["schema", "cell", "fingerprint", "verdict", "findings", "cycles"]
+    assert document["schema"] == 1
 
 
 def test_tables_are_as_wide_as_they_like_where_no_terminal_cuts_them(terminal: Terminal) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import math
 import os
 import re
@@ -235,7 +234,7 @@ def test_exit_code_is_that_of_the_worst_line() -> None:
 
 def test_json_has_every_line_and_the_figures() -> None:
     diagnosis = examined(build(timing=BusTiming()))
-    document = json.loads(diagnosis.json())
+    document = diagnosis.document()
     assert document["verdict"] == "ok"
     assert len(document["findings"]) == len(diagnosis.findings)
     assert set(document["findings"][0]) == {"what", "where", "found", "wanted", "verdict", "remedy"}
