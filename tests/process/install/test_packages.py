@@ -97,7 +97,7 @@ def test_the_wheel_brings_types_licence_units_and_documents(packages: Packages) 
     for folder in ("systemd", "docs"):
         wanted = {path.relative_to(packages.source) for path in (packages.source / folder).rglob("*") if path.is_file()}
         assert {path.relative_to(share) for path in (share / folder).rglob("*") if path.is_file()} == wanted
-    for name in ("README.md", "CHANGELOG.md", "Makefile"):
+    for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "Makefile"):
         assert (share / name).read_bytes() == (packages.source / name).read_bytes()
 
 

@@ -35,6 +35,18 @@ def test_every_link_leads_to_a_file_and_a_heading(path: Path) -> None:
 
 
 @pages
+def test_every_page_that_a_shipped_page_links_to_is_in_the_wheel_beside_it(path: Path) -> None:
+    """Not the sources, which lie with the packages."""
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    beside = [ROOT / name for name in wheel["shared-data"]]
+    assert any(path.is_relative_to(name) for name in beside), "it ships itself"
+    for link in read(path).links:
+        target = (path.parent / link.partition("#")[0]).resolve()
+        if not re.match(r"[a-z]+:|#", link) and target.suffix != ".py":
+            assert any(target.is_relative_to(name) for name in beside), link
+
+
+@pages
 def test_every_path_of_the_checkout_that_is_named_is_there(path: Path) -> None:
     for code in read(path).code:
         for name in PATH.findall(code):
