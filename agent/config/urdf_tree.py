@@ -16,12 +16,12 @@ NAMES_SHOWN: Final = 400  # characters
 
 
 def refuse_no_tree(robot: ET.Element, name: str) -> None:
-    """Raise ConfigError with the link or joint for which the URDF of this name is no tree.
-
-    A text that describes no robot is let pass: whoever builds a model of it says so.
-    """
-    if robot.tag != "robot":
-        return
+    """Raise ConfigError with the link or joint for which the URDF of this name is no tree, or where it is no URDF."""
+    if robot.tag != "robot":  # with a namespace, too: the names of all elements have it then, and none is looked at
+        raise ConfigError(
+            name, found=f"a root element {shown(repr(robot.tag))}", expected="<robot>, without an xmlns of its own",
+            remedy="give the URDF of the arm",
+        )  # fmt: skip
     links = [link.get("name", "") for link in robot.iterfind("link")]
     joints = list(robot.iterfind("joint"))
     _refuse_repeated("link", links, name)

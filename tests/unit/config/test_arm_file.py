@@ -189,7 +189,6 @@ def test_a_thin_or_rounded_link_is_a_body(tmp_path: Path, urdf: str) -> None:
 @pytest.mark.parametrize(
     ("urdf", "message"),
     [
-        ("<a/>", r"URDF, arm left \(wx200.urdf\): .*expected a robot description"),
         (URDF.replace('type="revolute"', 'type="continuous"', 1), "joints of the URDF, arm left .*found waist"),
         (
             URDF.replace('name="waist"', 'name="waste"'),
@@ -245,6 +244,8 @@ def linked(*joints: tuple[str, str, str], links: str = "abc") -> str:
         ),
         (linked(("j", "a", "a"), links="a"), "joints in .*: found links that hang on each other in a ring: a,"),
         (linked(links=""), "links in .*: found none, expected one base"),
+        ("<sdf/>", "wx200.urdf: found a root element 'sdf', expected <robot>, .*; give the URDF of the arm"),
+        (URDF.replace("<robot ", '<robot xmlns="urn:x" ', 1), "wx200.urdf: found a root element '{urn:x}robot'"),
     ],
 )
 def test_a_urdf_whose_links_are_no_tree_is_refused_with_link_or_joint_before_its_parser_speaks(
