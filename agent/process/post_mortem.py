@@ -24,7 +24,7 @@ from agent.process.scene import scene_of
 from agent.telemetry.ring.file import RingError
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
-from agent.telemetry.row.event import Event, health_time
+from agent.telemetry.row.event import UTC_END_NS, Event, health_time
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Address, Kind
@@ -47,9 +47,11 @@ def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: s
     part = out.with_name(out.name + UNFINISHED)
     file = LogFile(part, files, about, created_ns=time.time_ns())
     channels = LogChannels(file, scene_of(cell), has_plant=False)
-    rows = _write_rows(channels, Address(cell.file.name, arm, Kind.STATE), ring)
+    rows, left_out = _write_rows(channels, Address(cell.file.name, arm, Kind.STATE), ring)
     _write_texts(channels, cell.file.name, arm, ring)
     ended = {"complete": "false", f"{arm}.end": "died", f"{arm}.rows_recorded": str(rows)}
+    if left_out:
+        ended["rejected.impossible_time"] = str(left_out)  # as a recorder counts them
     if not file.finish({"completeness": ended}):
         raise LogFileError(
             f"cannot finish {part}", found=file.failure, expected="a disk that takes the whole log",
@@ -65,16 +67,20 @@ def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: s
     return rows
 
 
-def _write_rows(channels: LogChannels, address: Address, ring: Path) -> int:
-    count = 0
+def _write_rows(channels: LogChannels, address: Address, ring: Path) -> tuple[int, int]:
+    """How many rows were written, and how many left out: no message can have their time."""
+    count = left_out = 0
     with RingReader(ring, AGENT_STATE) as reader:
         end = reader.written
         while reader.next_index < end:
             block = reader.read_new(1024)  # none of it where a row is damaged, and then what is behind that
-            if block.count:
-                channels.write_rows(Rows(address, np.frombuffer(block.payload, AGENT_STATE.dtype)))
-                count += block.count
-    return count
+            rows = np.frombuffer(block.payload, AGENT_STATE.dtype)
+            kept = rows[(rows["utc_ns"] >= 0) & (rows["utc_ns"] < UTC_END_NS)]
+            if len(kept):
+                channels.write_rows(Rows(address, kept))
+            count += len(kept)
+            left_out += len(rows) - len(kept)
+    return count, left_out
 
 
 def _write_texts(channels: LogChannels, cell: str, arm: str, ring: Path) -> None:

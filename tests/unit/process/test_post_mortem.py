@@ -16,11 +16,12 @@ from agent.log.file import LogFileError
 from agent.log.read import read_log
 from agent.log.recover import recover
 from agent.process.post_mortem import write_post_mortem
+from agent.report.prepared import prepare
 from agent.telemetry.ring.file import SLOTS_OFFSET
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextWriter, _TextKind
 from agent.telemetry.ring.writer import RingWriter
-from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.event import UTC_END_NS, Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.telemetry.telemetry_cell import UTC_0_NS, make_rows
 
@@ -53,6 +54,22 @@ def test_rows_on_both_sides_of_a_damaged_one_are_in_it(tmp_path: Path, ring: Pat
     out = tmp_path / "left-post-mortem.mcap"
     assert write_post_mortem(CELL, "left", ring, out, "the agent has died") == ROWS - 1
     assert read_log(out).agents["left"]["sequence"].tolist() == [*range(7), *range(8, ROWS)]
+
+
+@pytest.mark.parametrize("utc_ns", [-1, UTC_END_NS, (1 << 63) - 1])
+def test_a_row_of_an_impossible_time_keeps_nothing_else_out_and_is_counted(tmp_path: Path, utc_ns: int) -> None:
+    """As where the host's clock was set to before 1970."""
+    rows = make_rows("left", ROWS).copy()
+    rows["utc_ns"][7] = utc_ns
+    with RingWriter(tmp_path / "left.ring", AGENT_STATE, "left", ("shoulder", "elbow"), slots=64) as writer:
+        for row in rows:
+            writer.row[...] = row
+            writer.commit()
+        out = tmp_path / "left-post-mortem.mcap"
+        assert write_post_mortem(CELL, "left", tmp_path / "left.ring", out, "the agent has died") == ROWS - 1
+    log = read_log(out)
+    assert log.agents["left"]["sequence"].tolist() == [*range(7), *range(8, ROWS)]
+    assert "1 messages that do not belong to this run were left out: impossible time" in prepare(log).missing
 
 
 def test_a_text_that_makes_no_sense_keeps_nothing_else_out(tmp_path: Path, ring: Path) -> None:
