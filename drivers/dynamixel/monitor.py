@@ -185,6 +185,10 @@ class GapMonitor:
             if servo_id in question.read.ids and question not in self._urgent:
                 self._urgent.append(question)
 
+    def look_at_supply(self) -> None:
+        """Ask for voltage and temperature of all servos before the next round: what is known of them is old."""
+        self._urgent.extend(self._seldom)
+
     def _judge(self, question: _Question, record: ServoRecord, row: Row, now_ns: int) -> None:
         if question.page is Page.SLOW:
             self._judge_slow(record, row, now_ns)

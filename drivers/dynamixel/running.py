@@ -132,8 +132,9 @@ class Running:
     def resume(self, goals: Mapping[int, int], dq: Sequence[float]) -> list[float]:
         """Go on from the goal counts that the servos hold (by ID); the joint torques they ask for, NaN where unknown.
 
-        dq: of the joints, rad/s, as last known.
+        dq: of the joints, rad/s, as last known.  Until the monitor has the supply, it is the one that bring-up found.
         """
+        self.monitor.look_at_supply()
         for place, record in enumerate(self._records):
             count = goals.get(record.slot.servo_id, record.sent)
             record.sent = record.sent_before = self._goals[place] = count

@@ -374,6 +374,22 @@ def test_a_doubt_that_was_cleared_is_forgotten() -> None:
 # --- what is made of the slow values ---------------------------------------------------------------------------------
 
 
+def test_supply_and_temperature_of_all_servos_are_asked_for_first_where_they_are_old() -> None:
+    """Every other gap is the round's all the same."""
+    bench = Bench()
+    bench.monitor.look_at_supply()
+    asked = []
+    for _ in range(8):
+        page, ids = bench.ask() or (None, ())
+        asked.append((page, ids))
+        bench.monitor.answer(
+            bench.reply(ids, *[HEALTHY if page is Page.STATUS else (115, 30)] * len(ids), page=page), 9, final=True
+        )
+    groups = [(1, 2), (3, 4), (5, 6), (7,)]
+    assert asked == [(page, group) for group in groups for page in (Page.SLOW, Page.STATUS)]
+    assert {record.voltage_V for record in bench.records} == {11.5}
+
+
 def test_temperature_and_voltage_are_remembered_in_their_units() -> None:
     bench = Bench()
     bench.tell(3, 113, 41, page=Page.SLOW)

@@ -39,6 +39,22 @@ def goals(rig: Rig) -> list[int]:
     return [rig.get(i, GOAL_PWM if i == 6 else GOAL_CURRENT) for i in CONTROLLED]
 
 
+def test_it_looks_at_the_supply_first_which_may_have_fallen_since_bring_up() -> None:
+    rig = enabled()
+    commanded(rig)
+    rig.fault(FaultKind.VOLTAGE, voltage_V=11.0)
+    commanded(rig, 4)
+    driver = standby(rig)
+    driver.adopt(rig.driver.read().dq)
+    cycles = 0
+    while not np.allclose(driver.health().voltage_V, 11.0):
+        rig.clock.sleep_until(rig.clock.now_ns() + rig.arm.period_ns)
+        driver.read()
+        driver.write(TAU)
+        cycles += 1
+    assert cycles <= 9
+
+
 def test_it_takes_the_arm_as_it_is_and_commands_it() -> None:
     rig = enabled()
     commanded(rig)
