@@ -127,6 +127,8 @@ class Truth:
             "grasp_wrench": row["grasp_wrench"].reshape(-1, 6)[:n],
             "contact_error_m": row["contact_error_m"][0, :n],
             "contact_error_rad": row["contact_error_rad"][0, :n],
+            "slip_m": row["slip_m"][0, :n],
+            "slip_rad": row["slip_rad"][0, :n],
         }
         self._joint_views = {
             name: [

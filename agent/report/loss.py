@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 LOST_M: Final = 0.1  # an object so far from where it should be has been dropped or thrown
 LOST_RAD: Final = 1.0
+SLIPPED_M: Final = 1e-4  # a grasp that has slipped by less is not told of
+SLIPPED_RAD: Final = 1e-3
 PLANT: Final = "plant"  # who tells of a loss
 
 
@@ -43,6 +45,9 @@ class Loss:
     object_off_max_rad: Annotated[float, Unit("rad")]
     grasp_open_s: Mapping[str, float]  # of each arm whose grasp has opened, the first row with it open
     grasp_gap_max_m: Mapping[str, float]  # of each arm, while its grasp was closed: what gave way and what slipped
+    grasp_slip_s: Mapping[str, float]  # of each arm whose grasp has slipped, the first row in which it had
+    grasp_slip_max_m: Mapping[str, float]  # of each arm; it need not have opened
+    grasp_slip_max_rad: Mapping[str, float]
 
     @property
     def lost(self) -> bool:
@@ -64,6 +69,14 @@ class Loss:
             found.insert(0, ("OBJECT LOST", f"from {instant(self.object_lost_s)}, off by {off}", bound))
         return found
 
+    def slips(self) -> list[str]:
+        """Which grasps have slipped, from when and how far, in the order in which they began."""
+        return [
+            f"{arm} from {instant(t)}, by {number(self.grasp_slip_max_m[arm], 'mm', 1e3)}, "
+            f"{number(self.grasp_slip_max_rad[arm], 'mrad', 1e3)}"
+            for arm, t in sorted(self.grasp_slip_s.items(), key=lambda grasp: grasp[1])
+        ]
+
 
 def loss_keys(loss: Loss | None) -> dict[str, Any]:
     """The keys of results.json that tell of it; null without the truth."""
@@ -80,14 +93,20 @@ def loss_of(run: Prepared) -> Loss | None:
     carried, judged = run.grasps.t < until_s, run.true.t < until_s
     off_m, off_rad = (off[judged] for off in _off(run.true))
     lost = np.flatnonzero(is_lost(off_m, off_rad))
-    t, opened, largest = run.grasps.t[carried], {}, {}
+    t, opened, largest = run.grasps.t[carried], dict[str, float](), dict[str, float]()
+    slipped, slip_m, slip_rad = dict[str, float](), dict[str, float](), dict[str, float]()
     for i, arm in enumerate(run.info.arms):
         gap = component(run.grasps.plant, "contact_error_m", i)[carried]
         is_open, largest[arm.name] = np.isnan(gap), most(gap)
         if is_open.any() and not is_open.all():  # of a grasp that was never closed nothing is known
             opened[arm.name] = float(t[np.argmax(is_open)])
+        by_m, by_rad = (component(run.grasps.plant, name, i)[carried] for name in ("slip_m", "slip_rad"))
+        slip_m[arm.name], slip_rad[arm.name] = most(by_m), most(by_rad)
+        seen = (by_m > SLIPPED_M) | (by_rad > SLIPPED_RAD)
+        if seen.any():
+            slipped[arm.name] = float(t[np.argmax(seen)])
     lost_s = float(run.true.t[judged][lost[0]]) if len(lost) else NAN
-    return Loss(lost_s, most(off_m), most(off_rad), opened, largest)
+    return Loss(lost_s, most(off_m), most(off_rad), opened, largest, slipped, slip_m, slip_rad)
 
 
 def told(run: Prepared) -> list[Event]:
@@ -95,12 +114,13 @@ def told(run: Prepared) -> list[Event]:
     loss = loss_of(run)
     if loss is None or run.grasps is None:
         return []
-    found = [(t, f"the grasp of {name} is open") for name, t in loss.grasp_open_s.items()]
-    found += [(loss.object_lost_s, "the object is lost")] if loss.lost else []
+    found = [(t, Level.ERROR, f"the grasp of {name} is open") for name, t in loss.grasp_open_s.items()]
+    found += [(t, Level.WARN, f"the grasp of {name} slips") for name, t in loss.grasp_slip_s.items()]
+    found += [(loss.object_lost_s, Level.ERROR, "the object is lost")] if loss.lost else []
     t, utc_ns = run.grasps.t, run.grasps.plant["utc_ns"]
     return [
-        Event(int(utc_ns[np.argmin(np.abs(t - when))]), PLANT, Level.ERROR, text, {"t": when})
-        for when, text in sorted(found)
+        Event(int(utc_ns[np.argmin(np.abs(t - when))]), PLANT, level, text, {"t": when})
+        for when, level, text in sorted(found)
     ]
 
 

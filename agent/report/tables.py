@@ -61,6 +61,7 @@ def lines(results: Results) -> list[Line]:
         found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(results.rehearsing)))
     if results.loss:
         found += [Line(what, figure, bound, Judgement.NOT_MET) for what, figure, bound in results.loss.lines()]
+        found += [Line("grasp slipped", figure) for figure in results.loss.slips()]
     found += [Line("HELD before its end", f"{arm} from {instant(t)}") for arm, t in _held(results)]
     if math.isfinite(results.set_down_error_m):
         off = f"{millimetres(results.set_down_error_m)}, {milliradians(results.set_down_error_rad)}"

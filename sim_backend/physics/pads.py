@@ -33,6 +33,7 @@ class Pads:
         self.closed = np.ones((len(swinging), 1))
         self.slipped = np.zeros_like(self.K)  # world axes
         self._slipped_object = np.zeros_like(self.K)
+        self._rests_object = np.zeros_like(self.K)  # where springs rested before any of it slipped
         self.slips = spec.slip_N is not None or spec.slip_Nm is not None
 
     def turn(self, R_world_object: Vector) -> None:
@@ -52,8 +53,22 @@ class Pads:
         open_m = self._spec.open_m
         if open_m is None:
             return ()
-        gone = np.linalg.norm(self.slipped[:, _FORCE], axis=1) > open_m
+        gone = self.slip_m > open_m
         return tuple(int(i) for i in np.flatnonzero(gone & (self.closed[:, 0] > 0.0)))
+
+    @property
+    def slip_m(self) -> Vector:
+        """How far each grasp (N,) has slipped since it was closed."""
+        return self._size(_FORCE)
+
+    @property
+    def slip_rad(self) -> Vector:
+        """The same of its rotation."""
+        return self._size(_MOMENT)
+
+    def _size(self, part: slice) -> Vector:
+        size: Vector = np.linalg.norm((self._slipped_object - self._rests_object)[:, part], axis=1)
+        return size
 
     def open(self, grasp: int) -> None:
         """Open one grasp for good."""
@@ -68,6 +83,7 @@ class Pads:
         self.slipped[grasp] = opening
         for part in (_FORCE, _MOMENT):
             self._slipped_object[grasp, part] = opening[part] @ R_world_object
+        self._rests_object[grasp] = self._slipped_object[grasp]
 
     def energy(self, opening: Vector) -> float:
         """What the springs hold at `opening` (N, 6), J."""

@@ -51,6 +51,8 @@ class Observation:
     grasp_wrench: Vector  # (N, 6) N, N·m of each arm on the object at its end effector, world axes
     contact_error_m: Vector  # (N,)
     contact_error_rad: Vector  # (N,)
+    slip_m: Vector  # (N,) how far pads have slipped since each grasp was closed; zeros of those that do not give
+    slip_rad: Vector  # (N,)
     q: Vector  # (J,) rad, arm after arm
     dq: Vector  # (J,) rad/s
     tau_applied: Vector  # (J,) N·m of the motors after all actuator effects
@@ -215,6 +217,8 @@ class Plant:
             grasp_wrench=wrench,
             contact_error_m=gap_m,
             contact_error_rad=gap_rad,
+            slip_m=np.zeros(len(gap_m)),
+            slip_rad=np.zeros(len(gap_m)),
             q=q[:J].copy(),
             dq=dq,
             tau_applied=tau_motor,

@@ -233,8 +233,7 @@ class SoftPlant:
         D, f = self._acted
         dq, friction = v[:J].copy(), -D * self._mean[:J]
         self.servos.command(tau_cmd_Nm)
-        phi_dot = self._openings.G.dot(v).reshape(-1, 6)
-        W = pads.closed * (pads.K * (self._phi - pads.slipped) + pads.C * phi_dot)
+        W = pads.closed * (pads.K * (self._phi - pads.slipped) + pads.C * self._openings.G.dot(v).reshape(-1, 6))
         gap_m, gap_rad = self._openings.gaps(self._phi, pads.closed)
         potential = self._arms.potential(self._q) + self._body.potential(self._T)
         return Observation(
@@ -245,6 +244,8 @@ class SoftPlant:
             grasp_wrench=W,
             contact_error_m=gap_m,
             contact_error_rad=gap_rad,
+            slip_m=pads.slip_m,
+            slip_rad=pads.slip_rad,
             q=self._q.copy(),
             dq=dq,
             tau_applied=self.servos.motor_torque(dq).copy(),

@@ -136,6 +136,8 @@ PLANT_FIELDS: Final[tuple[Field, ...]] = (
     _f("grasp_wrench", MAX_ARMS * 6, "N, N·m", "wrench of each arm on the object at its end effector, world axes"),
     _f("contact_error_m", MAX_ARMS, "m", "drift of each grasp constraint, translation"),
     _f("contact_error_rad", MAX_ARMS, "rad", "drift of each grasp constraint, rotation"),
+    _f("slip_m", MAX_ARMS, "m", "how far the pads of each grasp have slipped since it was closed, translation"),
+    _f("slip_rad", MAX_ARMS, "rad", "how far the pads of each grasp have slipped since it was closed, rotation"),
     _f("q", MAX_ARMS * J, "rad", "true positions of the controlled joints, arm after arm"),
     _f("dq", MAX_ARMS * J, "rad/s", "true velocities"),
     _f("tau_applied", MAX_ARMS * J, "N·m", "torque that reached the joint after all actuator effects, friction apart"),

@@ -42,7 +42,8 @@ def told(draw: st.DrawFn) -> dict[str, Any]:
     stop = draw(reads)
 
     def q(read: int) -> Vector:
-        return np.add(q_start(), noise[min(read, len(noise) - 1)])
+        pose: Vector = q_start() + noise[min(read, len(noise) - 1)]
+        return pose
 
     def operator(read: int) -> Event:
         return {stop: Event.STOP, ROWS + 10: Event.RELEASED}.get(read, Event.NONE)

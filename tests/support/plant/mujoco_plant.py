@@ -114,6 +114,8 @@ class MujocoPlant:
             grasp_wrench=np.array([self._wrench(arm) for arm in self.spec.arms]),
             contact_error_m=unknown,
             contact_error_rad=unknown,
+            slip_m=unknown,
+            slip_rad=unknown,
             q=data.qpos[self._q].copy(),
             dq=data.qvel[self._v].copy(),
             tau_applied=self._motor.copy(),

@@ -62,7 +62,7 @@ def seen(t: float, **given: Any) -> Observation:
     """The truth at a time: the object at its desired pose, nothing moving, nothing pulling."""
     still = Observation(
         t, np.array(CELL.trajectory().at(max(t, 0.0)).p), np.array([1.0, 0, 0, 0]), np.zeros(6), np.zeros((2, 6)),
-        np.zeros(2), np.zeros(2), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6), 0.0,
+        *(np.zeros(2) for _ in range(4)), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6), 0.0,
     )  # fmt: skip
     return replace(still, **given)
 

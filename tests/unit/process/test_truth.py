@@ -29,6 +29,8 @@ SHAPES = {
     "grasp_wrench": (2, 6),
     "contact_error_m": 2,
     "contact_error_rad": 2,
+    "slip_m": 2,
+    "slip_rad": 2,
 }
 JOINTS = ("q", "dq", "tau_applied", "tau_friction")
 

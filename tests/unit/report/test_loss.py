@@ -11,7 +11,7 @@ import pytest
 
 from agent.log.read import RunLog
 from agent.modes import Mode
-from agent.report.loss import LOST_M, LOST_RAD, is_lost, told
+from agent.report.loss import LOST_M, LOST_RAD, SLIPPED_M, is_lost, told
 from agent.report.metrics import summarise
 from agent.report.moments import moments_of
 from agent.report.page import render
@@ -67,6 +67,29 @@ def test_a_run_that_keeps_its_object_tells_no_loss() -> None:
     told = results.to_json()
     assert (told["object_lost"], told["object_lost_s"], told["grasp_open_s"]) == (False, None, {})
     assert told["object_off_max_m"] == pytest.approx(0.099)
+
+
+def test_a_grasp_that_slips_and_does_not_open_is_told_with_how_far_and_misses_nothing() -> None:
+    log = small_run()
+    log.plant["slip_m"][250:, 1] = np.linspace(0.0, 2e-3, TICKS - 250)
+    log.plant["slip_rad"][:, 0] = 0.9e-3  # too little to tell of
+    results = summarise(log)
+    found = [line for line in lines(results) if line.what == "grasp slipped"]
+    from_s = float(log.plant["t"][np.argmax(log.plant["slip_m"][:, 1] > SLIPPED_M)])
+    assert [(line.figure, line.verdict) for line in found] == [
+        (f"right from {from_s:.3f}\xa0s, by 2.00\xa0mm, 0\xa0mrad", None)
+    ]
+    assert results.within_bounds
+    assert results.loss.kept
+    told_of = results.to_json()
+    assert told_of["grasp_slip_s"] == {"right": from_s}
+    assert told_of["grasp_slip_max_m"] == {"left": 0.0, "right": 2e-3}
+    assert told_of["grasp_slip_max_rad"] == {"left": 0.9e-3, "right": 0.0}
+    assert [(e.data["t"], e.level, e.text) for e in told(prepare(log))] == [
+        (from_s, Level.WARN, "the grasp of right slips")
+    ]
+    log.plant["slip_rad"][:, 0] = 1.1e-3
+    assert [line.split()[0] for line in summarise(log).loss.slips()] == ["left", "right"], "as they began"
 
 
 def test_an_object_that_only_turns_is_lost_too() -> None:

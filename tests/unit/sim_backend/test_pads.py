@@ -70,7 +70,10 @@ def test_pad_slips_under_a_moment() -> None:
     assert plant.observe(tau).contact_error_rad[0] == pytest.approx(0.09 / 20.0, rel=1e-2)
     plant.push(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.2]))
     plant.advance(tau, 200)
-    assert plant.observe(tau).contact_error_rad[0] > 0.02
+    seen = plant.observe(tau)
+    assert seen.contact_error_rad[0] > 0.02
+    assert seen.slip_rad[0] == pytest.approx(seen.contact_error_rad[0] - 0.1 / 20.0, rel=0.1)
+    assert seen.slip_m[0] == 0.0
 
 
 def two_pads(**bounds: float) -> Pads:
@@ -85,6 +88,22 @@ def test_each_pad_slips_by_itself_in_its_own_direction() -> None:
     np.testing.assert_allclose(pads.slipped[1], [0.0, 0.0, 0.0, 0.0, -0.03, 0.04])  # 1 N·m, half is held
     held = 100.0 * (opening - pads.slipped)[0, :3]
     assert np.linalg.norm(held) == pytest.approx(2.0)
+
+
+def test_what_a_grasp_has_slipped_counts_from_where_it_was_closed() -> None:
+    """One that was closed beside its place has slipped by nothing then, and opens no sooner for it."""
+    pads, R = two_pads(slip_N=2.0, slip_Nm=0.5, open_m=0.011), pin.exp3(np.array([0.2, -0.4, 0.3]))
+    beside = np.array([0.03, 0.0, 0.0, 0.0, 0.0, 0.2])
+    pads.rest_at(0, beside, R)
+    assert (pads.slip_m.tolist(), pads.slip_rad.tolist()) == ([0.0, 0.0], [0.0, 0.0])
+    opening = np.stack([np.add(beside, [0.0, 0.03, 0.0, 0.0, 0.09, 0.0]), np.zeros(6)])
+    assert pads.slip(opening, R) == ()
+    np.testing.assert_allclose(pads.slip_m, [0.01, 0.0], atol=1e-15)
+    np.testing.assert_allclose(pads.slip_rad, [0.04, 0.0], atol=1e-15)
+    pads.turn(pin.exp3(np.array([0.5, 0.1, -0.2])) @ R)
+    np.testing.assert_allclose(pads.slip_m, [0.01, 0.0], atol=1e-15)
+    opening[0, 1] += 0.02
+    assert pads.slip(opening, R) == (0,)
 
 
 def test_what_has_slipped_turns_with_the_object() -> None:
