@@ -162,7 +162,7 @@ class Gripper(Protocol):
 
 
 class Clock(Protocol):
-    """The only time an agent knows.  Real: CLOCK_MONOTONIC.  Simulated: the plant's time."""
+    """The time that an arm's loop goes by.  Real: CLOCK_MONOTONIC.  Simulated: the plant's time."""
 
     @property
     def utc_offset_ns(self) -> int:
@@ -198,7 +198,7 @@ class Driver(Protocol):
         ...
 
     def enable(self) -> None:
-        """Write zero goal torque, then torque on, then arm the servo watchdog.  Raises DriverError."""
+        """Write zero goal torque, arm the servo watchdog, then switch torque on; in this order.  Raises DriverError."""
         ...
 
     def read(self) -> JointState:

@@ -29,7 +29,7 @@ Tell = Callable[[Level, str], None]
 
 
 class Guarded:
-    """The guard of this process.  `poll` once a cycle; nothing but `borrow` and `watch` waits for an answer."""
+    """The guard of this process.  `poll` once a cycle; `borrow`, `watch` and `leave` alone wait for an answer."""
 
     def __init__(self, path: Path, fingerprint: str) -> None:
         """Reach the guard.  Raises GuardError."""

@@ -1,7 +1,7 @@
 """The guard process of one arm: it owns the port, watches the agent, and goes on in HOLD when that is gone.
 
 Two never write: an agent that hangs is killed, and waited for, before the first byte.  The guard opens no network
-socket and loads nothing that could; the post-mortem is written by a process of its own.
+socket and loads no network library; the post-mortem is written by a process of its own.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ class Handover:
 
 
 class StandbyDriver(DynamixelDriver):
-    """A driver that never connects and never enables: `prepare` while another process commands, then `adopt`.
+    """A driver for who neither connects nor enables: `prepare` while another process commands, then `adopt`.
 
     resumed: `adopt` found watchdogs that had fired, and armed them again; the arm has no torque then.
     limp: it found them, or nobody, and was not to arm them.

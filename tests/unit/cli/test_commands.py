@@ -231,6 +231,7 @@ def test_a_run_loads_no_figures_before_its_report() -> None:
         ("recorder", {"typer", "pinocchio", "scipy"}),
         ("agent", {"typer", "rich", "zenoh", "mcap", "agent.verify.thorough"}),
         ("plant", {"typer", "rich", "zenoh", "mcap", "agent.verify.thorough"}),
+        ("guard", {"typer", "rich", "zenoh", "mcap", "agent.verify.thorough"}),
     ],
 )
 def test_a_process_of_a_run_loads_nothing_that_it_does_not_use(module: str, never: set[str]) -> None:

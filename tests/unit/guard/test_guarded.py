@@ -371,6 +371,26 @@ def test_who_leaves_says_so_and_gives_everything_back_once(bench: Bench, silent:
     assert len(bench.said) == (0 if silent else 1)
 
 
+def test_a_cycle_waits_for_no_guard_whether_that_watches_hangs_is_gone_or_is_to_take_over(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.watch()
+    asked: list[Word] = []
+    monkeypatch.setattr(Line, "ask", lambda self, word, *_, **__: asked.append(word) or (7,))
+    bench.cycles(100, looks=True)
+    bench.cycles(100, looks=False)
+    bench.agent.busy()
+    for _ in range(100):
+        bench.agent.poll(ending=True)
+    bench.answers.append(None)
+    bench.cycles(500, looks=False)
+    assert len(bench.lines) > 1, "it has looked for another"
+    assert bench.lines[-1][2] == {"patience_s": 0.0}
+    assert asked == []
+    bench.agent.leave()
+    assert asked == [Word.LEAVE]
+
+
 def test_who_was_never_watched_leaves_without_a_word(bench: Bench) -> None:
     bench.agent.leave()
     assert bench.said == []
