@@ -376,7 +376,7 @@ def test_a_cycle_waits_for_no_guard_whether_that_watches_hangs_is_gone_or_is_to_
 ) -> None:
     bench.watch()
     asked: list[Word] = []
-    monkeypatch.setattr(Line, "ask", lambda self, word, *_, **__: asked.append(word) or (7,))
+    monkeypatch.setattr(Line, "ask", lambda _, word, *__, **___: asked.append(word) or (7,))
     bench.cycles(100, looks=True)
     bench.cycles(100, looks=False)
     bench.agent.busy()
