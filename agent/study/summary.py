@@ -65,12 +65,13 @@ def summary(results: Sequence[RunResult], faults: Sequence[Fault] = ()) -> dict[
 def counted(results: Sequence[RunResult], figure: str) -> list[float | None]:
     """One figure of every run; a lost run, of which the rest is not known, has the largest of all runs.
 
-    But for a reaction, which is what it is whatever became of the object.
+    The largest number: a plant that diverges may have none.  But for a reaction, which is what it is whatever became of
+    the object.
     """
     values = [getattr(r, figure) for r in results]
     if figure == "reaction_s" or not any(r.lost for r in results):
         return values
-    largest = max(values)
+    largest = max((value for value in values if math.isfinite(value)), default=0.0)
     return [largest if r.lost else value for r, value in zip(results, values, strict=True)]
 
 

@@ -434,7 +434,8 @@ def test_a_lost_run_looks_good_in_no_figure() -> None:
         assert found["peak_torque_fraction"] == dict.fromkeys(("50", "95", "100"), pytest.approx(0.4))
         assert found["internal_force_mean_N"]["50"] == 0.5
         assert found["reaction_s"] == {"50": 0.1, "95": 0.2, "100": 0.2}
-    only = summary(lost)
+    diverged = [replace(lost[0], internal_force_max_N=force) for force in (math.inf, math.nan)]
+    only = summary([*lost, *diverged])
     assert all(math.isfinite(value) for figure in FIGURES for value in only[figure].values())
 
 
