@@ -52,7 +52,7 @@ def test_it_looks_at_the_supply_first_which_may_have_fallen_since_bring_up() -> 
         driver.read()
         driver.write(TAU)
         cycles += 1
-    assert cycles <= 9
+    assert cycles <= 4  # the round comes to it in the ninth
 
 
 def test_it_takes_the_arm_as_it_is_and_commands_it() -> None:
