@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+TYPED = "to the other\nand more\n"
 Told = Callable[[str], list[str]]
 
 BEGIN = """
@@ -87,6 +88,8 @@ finally:
 
 def test_what_it_writes_goes_to_who_copied_it_and_what_waited_there_is_written_once(told: Told) -> None:
     lines = told("""
+assert sys.stdin.readline()
+sys.stdout = os.fdopen(1, "w", closefd=False)  # as of a process whose reader may leave
 sys.stdout.write("before ")
 def be():
     print("READY")
