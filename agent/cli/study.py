@@ -56,7 +56,6 @@ def study(
     if as_json:
         print_json(dict(outcome.document))
     else:
-        from agent.study.fault import unrepeatable
         from agent.study.summary import counting, verdict
 
         console().print(_table(outcome))
@@ -67,9 +66,7 @@ def study(
                 typer.echo(counting(cells[name], found, plan.faults))
         typer.echo(f"results  {out / 'study.json'}")
         if outcome.document["runs"]:
-            left_out = unrepeatable(plan.faults)
-            without = f" (without {left_out}: `coop run` does not know such faults)" if left_out else ""
-            typer.echo(f"report   {out / 'report.html'}\nworst    {out / 'worst.toml'}{without}")
+            typer.echo(f"report   {out / 'report.html'}\nworst    {out / 'worst.toml'}")
     if outcome.interrupted:
         typer.echo(f"stopped by request; the same command with --out {out} goes on", err=as_json)
         raise typer.Exit(130)

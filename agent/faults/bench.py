@@ -31,13 +31,13 @@ from agent.process.emulate import wiring
 from agent.process.schedule import schedule_of
 from agent.process.simulated import plant_spec
 from agent.runner import Runner
-from agent.study.fault import SEIZED_Nms_RAD
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.path import start_configurations
 from drivers.dynamixel.events import DriverEvent
 from drivers.interface import Driver, Refusal, Vector
 from sim_backend.physics.build import AnyPlant
+from sim_backend.physics.calendar import SEIZED_Nms_RAD
 from sim_backend.physics.plant import Observation
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector

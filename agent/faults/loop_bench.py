@@ -22,11 +22,11 @@ from agent.faults.tampered import AgentClock
 from agent.process.emulate import wiring
 from agent.process.rehearse import BridgedRows, bridge
 from agent.process.simulated import lone_spec
-from agent.study.fault import SEIZED_Nms_RAD
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Driver
 from sim_backend.hil.driver import BridgeDriver
+from sim_backend.physics.calendar import SEIZED_Nms_RAD
 from sim_backend.physics.plant import Observation
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.lone_world import emulate_alone

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
 from agent.config.cell import Arm, Cell
 from agent.config.friction import joint_friction
 from agent.config.reality import reality_of
+from agent.config.schema.fault import Fault, FaultKind
 from agent.config.schema.reality import Reality as RealityEntry
 from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.counts import PWM_UNIT_DUTY, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
@@ -16,20 +20,28 @@ from drivers.dynamixel.servo.models import RATED_VOLTAGE_V
 from drivers.interface import Vector
 from drivers.substeps import substep_s
 from sim_backend.physics.actuator import ActuatorSpec
-from sim_backend.physics.calendar import Opening, Push
+from sim_backend.physics.calendar import Happening, Limpness, Opening, Push, Seizure
 from sim_backend.physics.friction import FrictionSpec
 from sim_backend.physics.reality import ArmReality, Reality, realised
 from sim_backend.physics.spec import ArmSpec, GraspSpec, ObjectSpec, PlantSpec
 
+_STRUCK: Final[Mapping[FaultKind, type[Limpness | Seizure | Opening]]] = MappingProxyType(
+    {FaultKind.LIMP: Limpness, FaultKind.LOCKED: Seizure, FaultKind.OPEN: Opening}
+)
 
-def plant_spec(cell: Cell, q_start: Sequence[Vector], reality: RealityEntry | None = None) -> PlantSpec:
+
+def plant_spec(
+    cell: Cell, q_start: Sequence[Vector], reality: RealityEntry | None = None, faults: Sequence[Fault] = ()
+) -> PlantSpec:
     """Plant of the cell as it is: the object at its start pose, arms at q_start or, where they are off, near it.
 
-    reality: in the place of the cell's own.  Twins of arms in the loop are as the files say: what is otherwise about
-    an arm is so about the real one (`lone_spec`).  Raises PlantError (GraspError) where it cannot be.
+    reality: in the place of the cell's own; faults: beside the cell's own.  Twins of arms in the loop are as the files
+    say: what is otherwise about an arm is so about the real one (`lone_spec`).  Raises PlantError (GraspError) where it
+    cannot be.
     """
     hil = cell.file.hil
-    return _realised(cell, q_start, reality or reality_of(cell), () if hil is None else hil.arms)
+    spec = _realised(cell, q_start, reality or reality_of(cell), () if hil is None else hil.arms)
+    return replace(spec, happenings=(*spec.happenings, *_struck(cell, faults)))
 
 
 def lone_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
@@ -63,7 +75,7 @@ def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
     )
 
 
-def _happenings(cell: Cell) -> tuple[Push | Opening, ...]:
+def _happenings(cell: Cell) -> tuple[Happening, ...]:
     """What befalls the cell, on the plant's clock, which a lockstep run starts `ready_s` before the trajectory's.
 
     Of a run at the wall clock's pace the start is known later (agent.process.common_start).
@@ -71,7 +83,19 @@ def _happenings(cell: Cell) -> tuple[Push | Opening, ...]:
     simulation = cell.file.simulation
     begin = simulation.ready_s
     pushes = [Push(begin + p.at_s, p.duration_s, (*p.force_N, *p.moment_Nm)) for p in simulation.push]
-    return (*pushes, *(Opening(begin + o.at_s, o.arm) for o in simulation.opening))
+    openings = [Opening(begin + o.at_s, o.arm) for o in simulation.opening]
+    return (*pushes, *openings, *_struck(cell, simulation.fault))
+
+
+def _struck(cell: Cell, faults: Sequence[Fault]) -> list[Happening]:
+    """What the plant does of them, at the begin of a cycle; an arm that holds is stopped by whoever runs its agent."""
+    rate_hz, ready_s = cell.file.rate_hz, cell.file.simulation.ready_s
+    begin = round(ready_s * rate_hz)
+    return [
+        _STRUCK[fault.kind]((begin + fault.cycle(cell.period_ns)) / rate_hz, fault.arm)
+        for fault in faults
+        if fault.kind is not FaultKind.HOLD
+    ]
 
 
 def _pads(cell: Cell) -> GraspSpec | None:

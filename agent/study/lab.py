@@ -13,6 +13,7 @@ import numpy as np
 
 from agent.config import monitors
 from agent.config.cell import Cell
+from agent.config.schema.fault import Fault, FaultKind
 from agent.config.schema.reality import Reality
 from agent.control.memory import Memory
 from agent.control.quaternion import Quat, Vec3
@@ -24,7 +25,6 @@ from agent.process.simulated import plant_spec
 from agent.runner import TROUBLE
 from agent.safety import Flag
 from agent.standing import wait_here
-from agent.study.fault import Fault, FaultKind, SEIZED_Nms_RAD
 from agent.transition import entered
 from agent.verify.check import start_configurations
 from drivers.interface import JointState, ServoHealth, Vector
@@ -137,9 +137,9 @@ class Run:
     """One run of a laboratory's cell in one reality, tick by tick."""
 
     def __init__(self, lab: Laboratory, reality: Reality | None, faults: Sequence[Fault] = ()) -> None:
-        """reality None: as the cell file says.  Raises PlantError, ConfigError."""
+        """reality None: as the cell file says; faults: beside the cell's own.  Raises PlantError, ConfigError."""
         file = lab.cell.file
-        self.plant = lab.build(plant_spec(lab.cell, lab.q_start, reality))
+        self.plant = lab.build(plant_spec(lab.cell, lab.q_start, reality, faults))
         self.period_ns = lab.cell.period_ns
         self.ready_ticks = round(file.simulation.ready_s * file.rate_hz)
         self.tick = 0
@@ -157,7 +157,7 @@ class Run:
         self._parts = stretches([p.line for p in self.places], self._substeps)
         self._support = max(p.line.first_substep for p in self.places)
         self._tau = np.zeros(self.plant.joint_count)
-        self._due = sorted(faults, key=lambda fault: -fault.at_s)
+        self._due = sorted((*file.simulation.fault, *faults), key=lambda fault: -fault.at_s)
 
     @property
     def t(self) -> float:
@@ -198,18 +198,15 @@ class Run:
         return self._tau
 
     def _strike(self) -> dict[str, Event]:
-        """Let happen what is due; requests of operators by arm."""
-        requests = {}
-        while self._due and self._due[-1].at_s <= self.t:
+        """Let happen to the agents what is due, for the plant has a calendar; requests of operators by arm."""
+        requests, cycle = {}, self.tick - self.ready_ticks
+        while self._due and self._due[-1].cycle(self.period_ns) <= cycle:
             fault = self._due.pop()
             struck = next(p for p in self.places if p.agent.name == fault.arm)
             if fault.kind is FaultKind.HOLD:
                 requests[fault.arm] = Event.STOP
             elif fault.kind is FaultKind.LIMP:
                 struck.limp = True
-            elif fault.kind is FaultKind.LOCKED:
-                self.plant.brake(fault.arm, SEIZED_Nms_RAD)
-            else:
+            elif fault.kind is FaultKind.OPEN:
                 struck.open = True
-                self.plant.release(fault.arm)
         return requests

@@ -11,11 +11,11 @@ import numpy as np
 
 from agent.config.cell import Cell
 from agent.config.reality import draw
+from agent.config.schema.fault import Fault
 from agent.config.schema.reality import Reality
 from agent.control.quaternion import angle_between
 from agent.report.loss import LOST_M, LOST_RAD, is_lost
 from agent.report.series import internal_wrenches, largest_force, largest_or_zero
-from agent.study.fault import Fault
 from agent.study.lab import Laboratory, Run
 from agent.verify.disagreement import mean_bound_N
 from drivers.interface import DriverError, Vector

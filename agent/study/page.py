@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agent.config.cell import Cell
+from agent.config.schema.fault import Fault
 from agent.report.page import STYLE
 from agent.report.plotting import BLUE, RED, panels, save_png, styled
-from agent.study.fault import Fault
 from agent.study.measure import RunResult
 from agent.study.summary import FIGURES, PROMISED, QUANTILES, Influence, counted, counting, verdict
 

@@ -16,8 +16,8 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.files import cell_path
 from agent.config.reading import parse, read_file, shipped_cells, shown, validate
 from agent.config.schema.cell import CellFile
+from agent.config.schema.fault import Fault
 from agent.config.schema.types import Format, Seed, Strict, nearest
-from agent.study.fault import Fault
 from agent.study.provenance import provenance
 
 RUNS = 200

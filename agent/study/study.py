@@ -18,8 +18,7 @@ from agent.atomic import keep_existing, write_atomically
 from agent.config.cell import Cell
 from agent.config.reading import parse
 from agent.config.reality import draw
-from agent.study.fault import Fault, FaultKind, unrepeatable
-from agent.study.lab import NS
+from agent.config.schema.fault import Fault
 from agent.study.measure import RunResult
 from agent.study.page import render
 from agent.study.plan import Plan, Task
@@ -157,24 +156,12 @@ def _parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
 def worst_cell(cell: Cell, result: RunResult, faults: Sequence[Fault] = ()) -> bytes:
     """A cell file that repeats one run of a study: the cell with that run's reality, value by value.
 
-    Grippers that lose the object do so in it as well; its head names the faults that `coop run` does not know.
+    The study's faults befall its arms as well.
     """
     document = parse(cell.toml, Path(f"{cell.file.name}.toml"))
     real, simulation = draw(cell.file.tolerance, result.seed, cell), document.setdefault("simulation", {})
     simulation["reality"] = real.model_dump(mode="json", exclude_none=True)
-    opened = [{"at_s": _strikes_s(cell, f), "arm": f.arm} for f in faults if f.kind is FaultKind.OPEN]
-    if opened:
-        simulation["opening"] = [*simulation.get("opening", []), *opened]
+    if faults:
+        simulation["fault"] = [*simulation.get("fault", []), *(fault.model_dump(mode="json") for fault in faults)]
     head = f"# Run {result.index} of a study: the reality of seed {result.seed}. {result.why}\n"
-    left_out = unrepeatable(faults)
-    if left_out:
-        head += f"# WITHOUT what befell that run, which `coop run` does not know: {left_out}\n"
     return head.encode() + tomli_w.dumps(document).encode()
-
-
-def _strikes_s(cell: Cell, fault: Fault) -> float:
-    """When a run of a study lets the fault happen, at the begin of a tick, for a plant that starts `ready_s` before."""
-    ready_s, rate_hz = cell.file.simulation.ready_s, cell.file.rate_hz
-    tick = round(fault.at_s * rate_hz)
-    tick += tick * cell.period_ns * NS < fault.at_s
-    return max(0.0, (round(ready_s * rate_hz) + tick) / rate_hz - ready_s)

@@ -13,8 +13,8 @@ import numpy as np
 
 from agent.config.cell import Cell
 from agent.config.reality import draw
+from agent.config.schema.fault import Fault
 from agent.config.schema.reality import STIFFNESSES, Reality
-from agent.study.fault import Fault
 from agent.study.measure import RunResult, bounds_of, gave_up
 from drivers.interface import Vector
 

@@ -74,9 +74,10 @@ def _object(cell: Cell) -> list[Finding]:
 
 
 def _befalls(cell: Cell) -> list[Finding]:
-    """Warn of pushes and openings that no run of this length comes to."""
+    """Warn of pushes, openings and faults that no run of this length comes to."""
     simulation, end_s = cell.file.simulation, cell.file.duration_s
     planned = [("push", one.at_s) for one in simulation.push] + [("opening", one.at_s) for one in simulation.opening]
+    planned += [("fault", one.at_s) for one in simulation.fault]
     return [
         Finding(
             f"simulated {what}", "cell", f"at {at_s:g} s", f"before the end, {end_s:g} s", Verdict.WARNING,

@@ -1,16 +1,17 @@
-"""What befalls a plant at known times: pushes on the object and grasps that open, to the substep."""
+"""What befalls a plant at known times, to the substep: pushes, grasps that open, joints that seize, limp arms."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
 from drivers.interface import Vector
 
 Wrench = tuple[float, float, float, float, float, float]
+SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,25 @@ class Opening:
     arm: str
 
 
+@dataclass(frozen=True)
+class Seizure:
+    """An arm whose joints seize."""
+
+    at_s: float  # on the plant's clock
+    arm: str
+
+
+@dataclass(frozen=True)
+class Limpness:
+    """An arm whose servos are told no torque any more; what is on its way to them still acts."""
+
+    at_s: float  # on the plant's clock
+    arm: str
+
+
+Happening = Push | Opening | Seizure | Limpness
+
+
 class Befallen(Protocol):
     """A plant, as far as something can befall it."""
 
@@ -41,22 +61,30 @@ class Befallen(Protocol):
         """Open the grasp of one arm for good."""
         ...
 
+    def brake(self, arm: str, viscous_Nms_rad: float) -> None:
+        """Replace the viscous friction of one arm's joints."""
+        ...
+
 
 class Calendar:
     """Times in substeps; what falls on one and the same instant happens in the order given, and pushes add up.
 
-    All of it may come later than planned, or wait until that is known.
+    All of it may come later than planned, or wait until that is known.  Of arms that go limp it only says which are:
+    their torque is with whoever tells it to the plant.
     """
 
-    def __init__(self, happenings: Sequence[Push | Opening], substep_s: float) -> None:
-        due: list[tuple[int, Vector | str]] = []
+    def __init__(self, happenings: Sequence[Happening], substep_s: float) -> None:
+        due: list[tuple[int, Vector | Opening | Seizure]] = []
+        self._limp: list[tuple[int, str]] = []
         for one in happenings:
             begin = round(one.at_s / substep_s)
-            if isinstance(one, Opening):
-                due.append((begin, one.arm))
-            else:
+            if isinstance(one, Limpness):
+                self._limp.append((begin, one.arm))
+            elif isinstance(one, Push):
                 wrench = np.array(one.wrench)
                 due += [(begin, wrench), (round((one.at_s + one.duration_s) / substep_s), -wrench)]
+            else:
+                due.append((begin, one))
         self._due = sorted(due, key=lambda entry: entry[0])
         self.wrench: Vector = np.zeros(6)  # of all pushes that act now
         self._substep_s = substep_s
@@ -70,6 +98,11 @@ class Calendar:
         """Everything happens so much later than its own time says."""
         self._later = round(later_s / self._substep_s)
 
+    def limp(self, now: int) -> list[str]:
+        """Arms whose servos are told no torque in this substep any more."""
+        later = self._later
+        return [] if later is None else [arm for begin, arm in self._limp if begin + later <= now]
+
     def stretches(self, plant: Befallen, now: int, substeps: int) -> Iterator[int]:
         """Numbers of the substeps from `now` on between which something happens; it has, when a stretch is given."""
         end = now + substeps
@@ -81,9 +114,11 @@ class Calendar:
             yield until - now
             now = until
 
-    def _happen(self, plant: Befallen, what: Vector | str) -> None:
-        if isinstance(what, str):
-            plant.release(what)
+    def _happen(self, plant: Befallen, what: Vector | Opening | Seizure) -> None:
+        if isinstance(what, Opening):
+            plant.release(what.arm)
+        elif isinstance(what, Seizure):
+            plant.brake(what.arm, SEIZED_Nms_RAD)
         else:
             self.wrench = self.wrench + what
             plant.push(self.wrench)

@@ -15,7 +15,7 @@ from drivers.interface import Refusal, Vector
 from drivers.pads import DAMPING_RATIO
 from drivers.substeps import BAUMGARTE_D_PER_S, LONGEST_S, MAX_BAUMGARTE_STEP, damps
 from sim_backend.physics.actuator import ActuatorSpec
-from sim_backend.physics.calendar import Opening, Push
+from sim_backend.physics.calendar import Happening, Push
 from sim_backend.physics.friction import FrictionSpec
 
 QUATERNION_TOLERANCE: Final = 1e-9
@@ -222,7 +222,7 @@ class PlantSpec:
     start_tolerance_rad: float = 1e-4
     grasp: GraspSpec | None = None  # None: welded
     relinearise_s: float = 1e-2  # how long soft.py may go on with one linearisation
-    happenings: tuple[Push | Opening, ...] = ()
+    happenings: tuple[Happening, ...] = ()
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -251,6 +251,7 @@ class PlantSpec:
             )
         if len(set(self.names)) != len(self.names):
             raise PlantError("arms", found=self.names, expected="different names", remedy="rename one of the arms")
-        lost = [one.arm for one in self.happenings if isinstance(one, Opening) and one.arm not in self.names]
-        if lost:
-            raise PlantError("opening", found=f"arm {lost[0]}", expected=" or ".join(self.names), remedy="name an arm")
+        struck = [one for one in self.happenings if not isinstance(one, Push) and one.arm not in self.names]
+        if struck:
+            what = type(struck[0]).__name__.lower()
+            raise PlantError(what, found=f"arm {struck[0].arm}", expected=" or ".join(self.names), remedy="name an arm")

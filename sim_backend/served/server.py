@@ -92,7 +92,7 @@ class _Server:
         self._before_answers = tuple(part for part in parts if all(line.is_known(part[0]) for line in lines))
         self._after_answers = parts[len(self._before_answers) :]
         self._support_substeps = max(line.first_substep for line in lines) if options.supported_start and lines else 0
-        self._tau = np.zeros(plant.joint_count)
+        self._tau, self._no_torque = np.zeros((2, plant.joint_count))
         self._tick = 0
         self._reached = 0  # tick whose state is known: the present one, or the next while answers are due
         self._instants = Instants(options)
@@ -199,6 +199,7 @@ class _Server:
     def _collect(self, on: list[Seat]) -> None:
         if not self._options.lockstep:
             self._instants.sleep_until(self._tick + 1)
+        limp = self._plant.calendar.limp(self._tick * self._substeps)
         for seat in on:
             if seat.limp_at_tick is not None and self._tick >= seat.limp_at_tick:
                 seat.leave(Attendance.ABSENT)
@@ -211,7 +212,7 @@ class _Server:
             except Vanished as e:
                 self._lose(seat, e.reason)
             if seat.phase is Attendance.ON:
-                seat.delay.push(self._tick, seat.tau)
+                seat.delay.push(self._tick, self._no_torque[seat.joints] if seat.arm.name in limp else seat.tau)
 
     def _wait_for_answer(self, seat: Seat) -> None:
         while (kind := seat.receive()) is None:

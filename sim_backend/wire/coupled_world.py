@@ -27,6 +27,16 @@ class CoupledWorld:
         dq: list[float] = self._plant.dq[joints].tolist()
         return q, dq
 
+    def acting(self) -> Vector:
+        """Torques (J,) of all servos in this substep: none of an arm that the plant's calendar has limp."""
+        limp = self._plant.calendar.limp(round(self._plant.t / self.substep_s))
+        if not limp:
+            return self.tau_Nm
+        tau = self.tau_Nm.copy()
+        for arm in limp:
+            tau[self._plant.slices[self._plant.spec.names.index(arm)]] = 0.0
+        return tau
+
     def observe(self) -> Observation:
         """What is true now, with the servos' torques acting; changes nothing."""
-        return self._plant.observe(self.tau_Nm)
+        return self._plant.observe(self.acting())

@@ -66,7 +66,7 @@ class PlantWorld(CoupledWorld):
         if self._idle:
             self.plant.rest(1)
         else:
-            self.plant.advance(self.tau_Nm, 1)
+            self.plant.advance(self.acting(), 1)
 
 
 def emulate(

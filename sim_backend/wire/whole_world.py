@@ -85,7 +85,7 @@ class WholeWorld(CoupledWorld):
             for arm in range(len(self.fingers)):
                 self._look(arm, T)
         self._substeps += 1
-        plant.advance(self.tau_Nm, 1)
+        plant.advance(self.acting(), 1)
 
     def lose(self, arm: int) -> None:
         """Fault: what the gripper of an arm holds slips out of it for good."""

@@ -20,8 +20,8 @@ import numpy as np
 
 from agent.config.cell import Cell, load_cell
 from agent.config.reality import draw
+from agent.config.schema.fault import Fault, FaultKind
 from agent.config.schema.reality import Reality
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, measure
 from sim_backend.physics.build import AnyPlant, build_plant

@@ -22,9 +22,9 @@ import numpy as np
 
 from agent.config.cell import Cell, load_cell, placement
 from agent.config.reality import draw
+from agent.config.schema.fault import Fault, FaultKind
 from agent.config.schema.reality import Reality
 from agent.control.models import ArmModel
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 from agent.verify.check import reach
 from agent.verify.support import HELD_SAG_M, Fate, Statics, Support

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
+from agent.config.schema.fault import Fault
 from agent.config.schema.reality import Reality
 from agent.config.schema.types import (
     AS_LIST,
@@ -121,6 +122,8 @@ class Simulation(Strict):
     """Pushes on the object."""
     opening: list[Opening] = Field(default_factory=list)
     """Grippers that open."""
+    fault: list[Fault] = Field(default_factory=list)
+    """Arms that fail."""
 
     def require_short_steps(self, rate_hz: float) -> None:
         """Refuse integration steps that are too long for the plant.  Raises PydanticCustomError."""
@@ -139,9 +142,11 @@ class Simulation(Strict):
             self.reality.require_pads(welded=self.grasp is None)
             if not self.effects.friction:
                 self.reality.require_rubbing()
-        for i, opening in enumerate(self.opening):
-            if opening.arm not in joints:
-                raise wrong(
-                    f"simulation.opening.{i}.arm", found=opening.arm, expected=" or ".join(joints),
-                    remedy="name an arm of the cell",
-                )  # fmt: skip
+        befallen = {"opening": [one.arm for one in self.opening], "fault": [one.arm for one in self.fault]}
+        for table, arms in befallen.items():
+            for i, arm in enumerate(arms):
+                if arm not in joints:
+                    raise wrong(
+                        f"simulation.{table}.{i}.arm", found=arm, expected=" or ".join(joints),
+                        remedy="name an arm of the cell",
+                    )  # fmt: skip

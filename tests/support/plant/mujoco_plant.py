@@ -20,6 +20,7 @@ import pinocchio as pin
 from drivers.interface import Vector
 from drivers.pads import damping, swinging_inertia
 from sim_backend.physics.actuator import Servos
+from sim_backend.physics.calendar import Calendar
 from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import ArmSpec, GraspSpec, PlantSpec, diverged
 
@@ -63,6 +64,7 @@ class MujocoPlant:
             self._tune(arm, joints, stiffness, pads.damping_ratio)
         self._motor = np.zeros(self.joint_count)
         self._substeps = 0
+        self.calendar = Calendar(spec.happenings, spec.substep_s)
 
     def _tune(self, arm: ArmSpec, joints: slice, stiffness: Vector, ratio: float) -> None:
         """Stiffness and damping of an arm's struts, at rest as they are now."""
@@ -87,6 +89,10 @@ class MujocoPlant:
 
     def advance(self, tau_cmd_Nm: Vector, substeps: int) -> None:
         """Integrate under commands (J,) that act unchanged."""
+        for count in self.calendar.stretches(self, self._substeps, substeps):
+            self._integrate(tau_cmd_Nm, count)
+
+    def _integrate(self, tau_cmd_Nm: Vector, substeps: int) -> None:
         model, data = self._model, self._data
         self.servos.command(tau_cmd_Nm)
         for _ in range(substeps * self._steps_each):
@@ -140,6 +146,10 @@ class MujocoPlant:
     def brake(self, arm: str, viscous_Nms_rad: float) -> None:
         """Replace the viscous friction of one arm's joints."""
         self._model.dof_damping[self._v[self.slices[self.spec.names.index(arm)]]] = viscous_Nms_rad
+
+    def push(self, wrench_world: Vector) -> None:
+        """Push the object: not here."""
+        raise NotImplementedError(wrench_world)
 
     def release(self, arm: str) -> None:
         """Open the grasp of one arm for good."""

@@ -11,6 +11,7 @@ import pytest
 
 from agent.config.cell import load_cell
 from agent.config.noticing import against
+from agent.config.schema.fault import Fault, FaultKind
 from agent.control.against import (
     FLAT,
     HANGS,
@@ -28,7 +29,6 @@ from agent.control.cause import Cause, behind
 from agent.control.memory import initial
 from agent.modes import Mode
 from agent.safety import Flag
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 
 PERIOD = 5e-3

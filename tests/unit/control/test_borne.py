@@ -13,6 +13,7 @@ import pytest
 from agent.config.cell import load_cell
 from agent.config.noticing import bearing, loads_N
 from agent.config.schema.driver import DriverKind
+from agent.config.schema.fault import Fault, FaultKind
 from agent.control.borne import BORNE, LOAD_AT, NOT_BORNE, STUCK_AT, Bearing, Borne, borne_of
 from agent.control.brace import Braced
 from agent.control.cause import Cause
@@ -23,7 +24,6 @@ from agent.faults.rehearse import rehearse
 from agent.modes import Mode
 from agent.process.describe import run_info
 from agent.safety import Flag
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 from agent.verify.noticing import noticed
 from tests.support.arm_files import pressed_on, with_figures

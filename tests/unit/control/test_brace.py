@@ -16,6 +16,7 @@ from agent.config.agent import build_agent
 from agent.config.cell import load_cell
 from agent.config.noticing import brace
 from agent.config.schema.driver import DriverKind
+from agent.config.schema.fault import Fault, FaultKind
 from agent.control.alignment import Alignment
 from agent.control.brace import NOT_BRACED, Brace, Braced, begun, braced_of
 from agent.control.errors import attitude_angle
@@ -27,7 +28,6 @@ from agent.modes import Mode
 from agent.process.describe import run_info
 from agent.safety import Flag
 from agent.standing import afresh, hold_after, hold_here
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 from agent.verify.noticing import noticed
 from drivers.interface import JointState

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
+from agent.config.schema.fault import Fault, FaultKind
 from agent.control.cause import Cause, behind, causes, described, force
 from agent.control.residual import Channels, Residual, nothing_sensed
 from agent.modes import Mode
 from agent.safety import Flag
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 
 GRAVITY, FORWARD = (0.0, 0.0, -9.81), (0.02, 0.0, 0.0, 0.0, 0.0, 0.0)

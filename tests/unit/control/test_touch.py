@@ -14,6 +14,7 @@ import pytest
 from agent.config import noticing
 from agent.config.cell import Cell, load_cell
 from agent.config.schema.driver import DriverKind
+from agent.config.schema.fault import Fault, FaultKind
 from agent.control import known
 from agent.control.memory import restore
 from agent.control.residual import Channels, Residual, nothing_sensed
@@ -23,7 +24,6 @@ from agent.loop import step
 from agent.modes import Mode
 from agent.process.describe import run_info
 from agent.safety import Flag
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 from agent.verify.noticing import noticed
 from drivers.interface import JointState

@@ -1,4 +1,4 @@
-"""Pushes and openings at known times: exact to the substep, however the plant is advanced."""
+"""What befalls a plant at known times: exact to the substep, however the plant is advanced."""
 
 from __future__ import annotations
 
@@ -12,12 +12,17 @@ from agent.config.cell import ConfigError, load_cell
 from agent.process.simulated import plant_spec
 from drivers.interface import Vector
 from sim_backend.physics.build import build_plant
-from sim_backend.physics.calendar import Calendar, Opening, Push
+from sim_backend.physics.calendar import Calendar, Limpness, Opening, Push, SEIZED_Nms_RAD, Seizure
 from sim_backend.physics.spec import GraspSpec, PlantError, PlantSpec
 from tests.support.plant.plant_cells import planar_cell
 from tests.support.starts import start_joints
 
 FORCE = (0.3, -0.2, 0.0, 0.0, 0.0, 1e-4)
+
+
+def specs() -> list[PlantSpec]:
+    spec = replace(planar_cell(), gravity=np.zeros(3))
+    return [spec, replace(spec, grasp=GraspSpec(1e4, 50.0))]
 
 
 class Told:
@@ -32,6 +37,9 @@ class Told:
 
     def release(self, arm: str) -> None:
         self.seen.append((self.at, arm))
+
+    def brake(self, arm: str, viscous_Nms_rad: float) -> None:
+        self.seen.append((self.at, (arm, viscous_Nms_rad)))
 
     def advance(self, calendar: Calendar, substeps: int) -> list[int]:
         counts = []
@@ -68,9 +76,27 @@ def test_what_waits_happens_later_by_as_much_as_it_is_then_told() -> None:
     assert [at for at, _ in told.seen] == [1, 5]
 
 
-def specs() -> list[PlantSpec]:
-    spec = replace(planar_cell(), gravity=np.zeros(3))
-    return [spec, replace(spec, grasp=GraspSpec(1e4, 50.0))]
+def test_joints_seize_at_their_substep_and_a_limp_arm_is_named_from_its_on() -> None:
+    calendar, told = Calendar([Seizure(0.004, "left"), Limpness(0.006, "right")], 1e-3), Told()
+    assert told.advance(calendar, 8) == [4, 4]
+    assert told.seen == [(4, ("left", SEIZED_Nms_RAD))]
+    assert [calendar.limp(now) for now in (0, 5, 6, 100)] == [[], [], ["right"], ["right"]]
+    calendar.wait()
+    assert calendar.limp(100) == []
+    calendar.go(0.010)
+    assert [calendar.limp(now) for now in (15, 16)] == [[], ["right"]]
+
+
+@pytest.mark.parametrize("spec", specs(), ids=["welds", "pads"])
+def test_a_seized_arm_creeps(spec: PlantSpec) -> None:
+    struck, sound = (build_plant(replace(spec, happenings=some)) for some in ((Seizure(0.02, "left"),), ()))
+    tau = np.full(6, 0.05)
+    for plant in (struck, sound):
+        plant.advance(tau, 20)
+    assert np.array_equal(struck.q, sound.q)
+    for plant in (struck, sound):
+        plant.advance(tau, 60)
+    assert np.abs(struck.dq[:3]).max() < 0.1 * np.abs(sound.dq[:3]).max()
 
 
 @pytest.mark.parametrize("spec", specs(), ids=["welds", "pads"])
@@ -112,6 +138,18 @@ def test_times_of_a_cell_count_from_the_common_start() -> None:
     assert paper().happenings == ()
 
 
+def test_faults_of_a_cell_come_at_the_begin_of_a_cycle_and_a_hold_is_none_of_the_plants() -> None:
+    given = ["kind='limp', arm='left', at_s=3.0", "kind='locked', arm='right', at_s=3.001"]
+    given += ["kind='open', arm='left', at_s=4.0", "kind='hold', arm='right', at_s=1.0"]
+    table = f"simulation.fault=[{', '.join(f'{{{one}}}' for one in given)}]"
+    spec = paper(table, "simulation.ready_s=1.501")
+    limp, locked, lost = Limpness(4.5, "left"), Seizure(4.505, "right"), Opening(5.5, "left")
+    assert spec.happenings == (limp, locked, lost), "of a plant that begins a whole number of cycles before"
+    cell = load_cell(configs.CELLS_DIR / "paper.toml", [table])
+    again = plant_spec(cell, start_joints(cell), faults=cell.file.simulation.fault[:1])
+    assert again.happenings[3:] == (Limpness(3.0, "left"),), "beside the cell's own"
+
+
 def test_what_cannot_befall_the_cell_is_refused() -> None:
     with pytest.raises(ConfigError, match="left or right"):
         paper("simulation.opening=[{at_s=3.0, arm='middle'}]")
@@ -119,3 +157,6 @@ def test_what_cannot_befall_the_cell_is_refused() -> None:
         paper("simulation.push=[{at_s=3.0, duration_s=0.0}]")
     with pytest.raises(PlantError, match="middle"):
         replace(planar_cell(), happenings=(Opening(1.0, "middle"),))
+    for what in (Seizure, Limpness):
+        with pytest.raises(PlantError, match=f"{what.__name__.lower()}: found arm middle"):
+            replace(planar_cell(), happenings=(what(1.0, "middle"),))

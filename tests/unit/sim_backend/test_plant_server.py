@@ -14,6 +14,7 @@ import pytest
 
 from drivers.interface import DriverError
 from sim_backend.physics.actuator import ActuatorSpec, TorqueCommand
+from sim_backend.physics.calendar import Limpness
 from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation, Plant
 from sim_backend.physics.spec import PlantError
@@ -320,3 +321,19 @@ def test_clock_in_real_time_is_monotonic_time(tmp_path: Path) -> None:
         left.clock.sleep_until(deadline_ns)
         assert time.monotonic_ns() >= deadline_ns
         left.clock.sleep_until(0)
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_limp_arm_is_told_no_torque_from_its_cycle_on_whatever_its_agent_says(tmp_path: Path, delay: int) -> None:
+    applied: list[np.ndarray] = []
+    spec = planar_cell(ActuatorSpec.of(3, delay_s=delay * 5e-3))
+    spec = replace(spec, happenings=(Limpness(0.015, "right"),))
+    with ServedPlant(tmp_path, spec=spec, on_tick=lambda _k, _t, o: applied.append(o.tau_applied)) as served:
+        left, right = served.enabled()
+        for _ in range(8):
+            for arm in (left, right):
+                arm.read()
+                assert np.array_equal(arm.write(TAU), TAU)
+    acts = [bool(tau[3:].any()) for tau in applied[:7]]
+    assert acts == [delay <= tick < 3 + delay for tick in range(7)]
+    assert all(tau[:3].any() for tau in applied[delay:])

@@ -11,12 +11,12 @@ import pytest
 
 from agent.config.cell import load_cell
 from agent.config.reality import draw
+from agent.config.schema.fault import Fault, FaultKind
 from agent.config.schema.reality import ArmReality, Reality
 from agent.control.quaternion import angle_between
 from agent.modes import Mode
 from agent.safety import Flag
 from agent.study import measure as measuring
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 from agent.study.measure import measure, run_once
 from drivers.interface import Refusal
@@ -183,7 +183,12 @@ def test_each_fault_strikes_its_arm_at_its_time(kind: FaultKind) -> None:
         run.advance()
         sound.advance()
     assert np.array_equal(run.plant.q, sound.plant.q)
-    for _ in range(20):
+    run.advance()
+    sound.advance()
+    struck = run.places[1]
+    done = {FaultKind.LIMP: struck.limp, FaultKind.HOLD: struck.mode is Mode.HOLD, FaultKind.OPEN: struck.open}
+    assert [one for one, is_so in done.items() if is_so] == [one for one in done if one is kind], "in that cycle"
+    for _ in range(19):
         run.advance()
         sound.advance()
     left, right = run.places
@@ -200,6 +205,22 @@ def test_each_fault_strikes_its_arm_at_its_time(kind: FaultKind) -> None:
     else:
         assert np.isnan(seen.contact_error_m[1])
         assert not np.isnan(seen.contact_error_m[0])
+
+
+@pytest.mark.parametrize("kind", list(FaultKind))
+def test_a_fault_of_the_cell_is_one_of_each_of_its_runs(kind: FaultKind) -> None:
+    text = f"simulation.fault=[{{kind='{kind}', arm='right', at_s=0.101}}]"
+    ready = "simulation.ready_s=0.013"
+    own = Run(Laboratory(cell(*FAULTY, ready, text)), None)
+    given = Run(Laboratory(cell(*FAULTY, ready)), None, [Fault(kind=kind, arm="right", at_s=0.101)])
+    sound = Run(Laboratory(cell(*FAULTY, ready)), None)
+    for _ in range(40):
+        for run in (own, given, sound):
+            run.advance()
+    assert np.array_equal(own.plant.q, given.plant.q)
+    assert [place.mode for place in own.places] == [place.mode for place in given.places]
+    assert [place.open for place in own.places] == [False, kind is FaultKind.OPEN]
+    assert not np.array_equal(own.plant.q, sound.plant.q)
 
 
 @pytest.mark.parametrize("kind", [None, *FaultKind])

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from agent.config.cell import Cell, load_cell
+from agent.config.schema.fault import Fault, FaultKind
 from agent.control.trajectory import Trajectory
 from agent.safety import Flag
 from agent.study import measure as module
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Trip
 from agent.study.measure import RunResult, bounds_of, measure, run_once
 from agent.study.plan import last_seen_s

@@ -14,7 +14,7 @@ import pytest
 import configs
 from agent.atomic import WriteError
 from agent.config.cell import ConfigError
-from agent.study.fault import FaultKind
+from agent.config.schema.fault import FaultKind
 from agent.study.lab import Laboratory, Run
 from agent.study.measure import RunResult, run_once
 from agent.study.plan import Plan, load_plan, seed_of

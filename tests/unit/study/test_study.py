@@ -32,15 +32,15 @@ from agent.atomic import WriteError
 from agent.config.cell import load_cell
 from agent.config.once import once_per_cell
 from agent.config.reality import draw, reality_of
+from agent.config.schema.fault import Fault, FaultKind
 from agent.study import work
-from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, bounds_of, measure, run_once
 from agent.study.page import _distribution, _influences, _picture
 from agent.study.plan import Plan, Task, load_plan
 from agent.study.provenance import hash_of, provenance
 from agent.study.store import RUNS_FILE, Store, StudyError
-from agent.study.study import RESULTS, Work, _row, run_study
+from agent.study.study import RESULTS, Work, _row, run_study, worst_cell
 from agent.study.summary import (
     ENOUGH_RUNS,
     FIGURES,
@@ -180,28 +180,35 @@ def struck(folder: Path, *kinds: str) -> Path:
     return path
 
 
-def test_the_worst_run_loses_the_object_as_the_studys_did(tmp_path: Path) -> None:
-    plan = load_plan(struck(tmp_path, "open"))
+@pytest.mark.parametrize("kinds", [("open",), ("limp",), ("hold",), ("locked",), ("limp", "open", "hold")])
+def test_what_befell_the_worst_run_befalls_its_cell(tmp_path: Path, kinds: tuple[str, ...]) -> None:
+    plan = load_plan(struck(tmp_path, *kinds))
     outcome = run_study(plan, tmp_path / "out", here, lambda: False, Told())
     assert outcome.document["runs"] == 1
-    task = plan.tasks()[0]
-    lab, again = Laboratory(plan.cells[0]), Laboratory(load_cell(tmp_path / "out" / "worst.toml"))
+    task, worst = plan.tasks()[0], load_cell(tmp_path / "out" / "worst.toml")
+    assert worst.file.simulation.fault == list(plan.faults)
+    assert worst.file.simulation.opening == []
+    lab, again = Laboratory(plan.cells[0]), Laboratory(worst)
     found = measure(again, None, 0, task.seed)
     assert found == replace(run_once(lab, 0, task.seed, plan.faults), reaction_s=None, tracked_s=found.tracked_s)
     assert found != run_once(lab, 0, task.seed)
-    assert "WITHOUT" not in (tmp_path / "out" / "worst.toml").read_text()
 
 
-def test_what_the_worst_run_cannot_repeat_is_said_on_the_terminal_and_in_its_head(tmp_path: Path) -> None:
-    path, worst = struck(tmp_path, "limp", "open", "hold"), tmp_path / "out" / "worst.toml"
+def test_a_cells_own_faults_stay_beside_those_of_the_study(tmp_path: Path) -> None:
+    own = cell("simulation.fault=[{kind='limp', arm='left', at_s=0.25}]")
+    result = measure(Laboratory(own), None)
+    path = tmp_path / "worst.toml"
+    path.write_bytes(worst_cell(own, result, [Fault(kind=FaultKind.OPEN, arm="right", at_s=0.3)]))
+    found = load_cell(path).file.simulation.fault
+    assert [fault.told for fault in found] == ["limp left at 0.25 s", "open right at 0.3 s"]
+
+
+def test_the_terminal_names_the_worst_run_of_a_study_with_faults(tmp_path: Path) -> None:
+    path, worst = struck(tmp_path, "limp", "hold"), tmp_path / "out" / "worst.toml"
     done = coop("study", path, "--workers", "1", "--out", tmp_path / "out")
     assert done.code == 0, done.err
-    left_out = "limp right at 0.396 s, hold right at 0.396 s"
-    assert f"worst    {worst} (without {left_out}: `coop run` does not know such faults)\n" in done.out
-    assert worst.read_text().splitlines()[1] == (
-        f"# WITHOUT what befell that run, which `coop run` does not know: {left_out}"
-    )
-    assert [(o.arm, o.at_s) for o in load_cell(worst).file.simulation.opening] == [("right", pytest.approx(0.402))]
+    assert f"worst    {worst}\n" in done.out
+    assert "WITHOUT" not in worst.read_text()
 
 
 def no_worker(_: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:

@@ -172,11 +172,14 @@ def test_servos_without_a_port_are_refused() -> None:
         cell_from_toml(text.replace('driver = "sim"', 'driver = "dynamixel"').encode(), "paper.toml")
 
 
-def test_a_push_and_an_opening_that_come_behind_the_end_are_warned_of() -> None:
+def test_what_befalls_the_cell_behind_the_end_is_warned_of() -> None:
     changes = [
         "duration_s=20.0",
         "simulation.push=[{at_s=19.9, duration_s=1.0, force_N=[0.0, 1.0, 0.0]}, {at_s=20.0, duration_s=1.0}]",
         "simulation.opening=[{at_s=25.0, arm='left'}]",
+        "simulation.fault=[{kind='limp', at_s=19.9, arm='left'}, {kind='hold', at_s=20.0, arm='left'}]",
     ]
     found = warnings(load_cell(PAPER, changes))
-    assert found == [("simulated push", "cell", "at 20 s"), ("simulated opening", "cell", "at 25 s")]
+    assert found == [
+        (f"simulated {what}", "cell", f"at {at} s") for what, at in (("push", 20), ("opening", 25), ("fault", 20))
+    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from drivers.dynamixel.servo.codes import OperatingMode
 from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.physics.actuator import ActuatorSpec
+from sim_backend.physics.build import build_plant
+from sim_backend.physics.calendar import Limpness
 from sim_backend.physics.plant import Plant
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.plant_world import PlantWorld, emulate, without_servo_electronics
@@ -115,3 +118,20 @@ def test_servos_bring_their_electronics_and_the_plant_keeps_its_friction() -> No
     assert math.isinf(bare.tau_max_Nm[0])
     assert (bare.position_lsb_rad, bare.velocity_lsb_rad_s, bare.torque_lsb_Nm[0]) == (0.0, 0.0, 0.0)
     assert (bare.coulomb_Nm[0], bare.viscous_Nms_rad[0], bare.torque_scale[0]) == (0.1, 0.05, 1.1)
+
+
+def test_servos_of_a_limp_arm_move_nothing_from_its_instant_on() -> None:
+    spec = replace(without_servo_electronics(planar_cell()), happenings=(Limpness(0.003, "right"),))
+    world, tau = PlantWorld(build_plant(spec), supported=False), [0.02, 0.01, 0.01]
+    given = []
+    for _ in range(5):
+        for arm in (0, 1):
+            world.apply(arm, tau)
+        given.append(world.observe().tau_applied)
+        world.advance()
+    assert [g[3:].tolist() for g in given] == [tau, tau, tau, [0.0] * 3, [0.0] * 3]
+    assert all(g[:3].tolist() == tau for g in given)
+    twin = Plant(replace(spec, happenings=()))
+    twin.advance(np.array(tau * 2), 3)
+    twin.advance(np.array([*tau, 0.0, 0.0, 0.0]), 2)
+    assert np.array_equal(world.plant.q, twin.q), "those of the other go on"
