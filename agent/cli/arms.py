@@ -39,6 +39,7 @@ def agent(
     gripper_word: Annotated[
         Path | None, typer.Option(help="The same, said by a file that a person makes; it is taken away.")
     ] = None,
+    stop_in: Annotated[int | None, typer.Option(hidden=True, min=0, help="Cycle in which it is stopped.")] = None,
     utc_offset_ns: UtcOffset = None,
     with_parent: WithParent = None,
 ) -> None:
@@ -52,7 +53,7 @@ def agent(
             cell=cell, arm=arm, driver=driver, ring=ring, control=control, plant_socket=plant_socket, port=port,
             hold=hold, priority=priority, allow_no_realtime=allow_no_realtime, emulated=emulated, real_time=real_time,
             whole=whole, guard=guard, wait=wait, gripper_empty=gripper_empty, gripper_word=gripper_word,
-            utc_offset_ns=utc_offset_ns, with_parent=with_parent,
+            stop_in=stop_in, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
         ),
         Listener(note, asked_yes),
     )  # fmt: skip

@@ -93,12 +93,14 @@ def inject(
     from agent.faults.plan import require_happens, require_simulated
     from agent.faults.rehearse import rehearse
     from agent.faults.strikes import is_of_listeners
+    from agent.process.befallen import require_none
     from agent.verify.check import examine
 
     faults, made_so = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
     changes = [*made_so, *overrides]
     loaded = load_cell(cell, [*changes, *_length(cell, changes, faults, duration)])
     require_simulated(loaded)
+    require_none(loaded, "`coop faults inject`")
     require_happens(faults, loaded.file.duration_s)
     if out is not None:
         require_new(out)

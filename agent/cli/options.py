@@ -50,6 +50,7 @@ WithParent = Annotated[int | None, typer.Option(hidden=True, help="Process that 
 UtcOffset = Annotated[
     int | None, typer.Option(hidden=True, help="UTC minus CLOCK_MONOTONIC, ns, as the run has found it.")
 ]
+Stops = Annotated[bool, typer.Option("--stops", hidden=True, help="Arms of [[simulation.fault]] are told to hold.")]
 CommonStart = Annotated[
     Path | None, typer.Option(hidden=True, help="File in which the run will say when the trajectory starts.")
 ]

@@ -16,6 +16,7 @@ from agent.cli.options import (
     CommonStart,
     NetworkConfig,
     Overrides,
+    Stops,
     UtcOffset,
     WithParent,
     note,
@@ -34,6 +35,7 @@ def plant(
         AfterLoss.END
     ),
     pauses: Annotated[str | None, typer.Option(hidden=True, help="Instants to wait at for SIGUSR1.")] = None,
+    stops: Stops = False,
     common_start: CommonStart = None,
     utc_offset_ns: UtcOffset = None,
     with_parent: WithParent = None,
@@ -46,7 +48,7 @@ def plant(
     run(
         PlantCommand(
             cell=cell, socket=socket, ring=ring, real_time=real_time, lost_arm=lost_arm, pauses=pauses,
-            common_start=common_start, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
+            stops=stops, common_start=common_start, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
         ),
         Listener(note),
     )  # fmt: skip
@@ -61,6 +63,7 @@ def emulate(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the faults.")] = 0,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
     whole: Annotated[bool, typer.Option("--whole", help="Arms begin at rest, the object on a table.")] = False,
+    stops: Stops = False,
     common_start: CommonStart = None,
     utc_offset_ns: UtcOffset = None,
     with_parent: WithParent = None,
@@ -73,7 +76,7 @@ def emulate(
     run(
         EmulateCommand(
             cell=cell, ports=ports, ring=ring, faults=faults, control=control, seed=seed, no_timing=no_timing,
-            whole=whole, common_start=common_start, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
+            whole=whole, stops=stops, common_start=common_start, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
         ),
         Listener(note),
     )  # fmt: skip

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +33,7 @@ from agent.monitors.bounds import Name
 from agent.monitors.gravity import REST_S
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
+from agent.process.arranged import arranged
 from agent.process.build import build_agent, build_driver, passed_on, wait_no_longer
 from agent.process.clocked import ClockWatch, shares_time
 from agent.process.commands import AgentOptions
@@ -115,7 +117,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             operator = Operator(
                 stop, control, clock, tell.event, drops_on_stop=not options.hold, session=options.whole,
-                watch=_watching(guard, stop, options),
+                watch=partial(_watching, guard, stop, options),
             )  # fmt: skip
             wait_no_longer(driver, ring, operator.is_pressed)
             if shares_time(cell, arm):
@@ -238,25 +240,22 @@ def _runner(
         if guard is not None:
             guard.busy()
 
+    schedule = schedule_of(cell, hold=options.hold, shared=options.shared, lockstep=options.lockstep)
+    asked = arranged(operator, options.stop_in, schedule)
     around = Surroundings(
-        time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble, refused,
+        time.perf_counter_ns, asked.events, asked.start_ns, beat, mode_changed, trouble, refused,
         lambda: operator.watched, busy,
     )  # fmt: skip
     row = AgentRow(ring.row, arm.n, cell.config_id)
     if law.session is not None:
         standing.session = law.session.not_yet
     sink = BridgedRows(ring, row, driver, tell.warn) if isinstance(driver, BridgeDriver) else ring
-    schedule = schedule_of(cell, hold=options.hold, shared=options.shared, lockstep=options.lockstep)
     return Runner(law.agent, driver, clock, schedule, row, sink, around, law.watch, session=law.session)
 
 
-def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], str]:
+def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> str:
     """What is wrong with the guard, in every cycle; does not return once it has the hold of an agent told to end."""
-
-    def look() -> str:
-        return "" if guard is None else guard.poll(ending=stop.stopped and options.hold)
-
-    return look
+    return "" if guard is None else guard.poll(ending=stop.stopped and options.hold)
 
 
 def _stand(

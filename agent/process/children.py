@@ -14,6 +14,7 @@ from agent.host.info import CELL_FILE, RUN_FILE
 from agent.host.paths import control_in, emulated_port_in, plant_socket_in, ring_in
 from agent.host.share import keep_to, share_out
 from agent.operator.words import start_patiently
+from agent.process.befallen import stop_in
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -165,14 +166,14 @@ class Children:
         if self._kind is RunKind.WIRE:
             return self._emulate_command(ring)
         return PlantCommand(
-            cell=self._cell_path, socket=self._socket, ring=ring, real_time=not self._lockstep,
+            cell=self._cell_path, socket=self._socket, ring=ring, real_time=not self._lockstep, stops=True,
             common_start=None if self._lockstep else self._start, utc_offset_ns=self._utc_offset_ns,
         )  # fmt: skip
 
     def _emulate_command(self, ring: Path | None) -> EmulateCommand:
         return EmulateCommand(
             cell=self._cell_path, ports=self._runtime, ring=ring, faults=self._faults, seed=self._seed,
-            whole=self._whole, common_start=self._start, utc_offset_ns=self._utc_offset_ns,
+            whole=self._whole, stops=True, common_start=self._start, utc_offset_ns=self._utc_offset_ns,
         )  # fmt: skip
 
     def _agent_command(self, arm: str) -> AgentCommand:
@@ -187,10 +188,9 @@ class Children:
             plant_socket=None if self._kind is RunKind.WIRE else self._socket,
             port=str(emulated_port_in(self._runtime, arm)) if wire else None,
             emulated=wire or self._kind is RunKind.HIL,
-            real_time=self._kind in (RunKind.REAL_TIME, RunKind.HIL),
-            whole=self._whole,
-            utc_offset_ns=self._utc_offset_ns,
-        )
+            real_time=self._kind in (RunKind.REAL_TIME, RunKind.HIL), whole=self._whole,
+            stop_in=stop_in(self._cell, arm), utc_offset_ns=self._utc_offset_ns,
+        )  # fmt: skip
 
     def _telemetry_command(self, member: str, endpoint: str) -> TelemetryCommand:
         return TelemetryCommand(

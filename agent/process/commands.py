@@ -69,6 +69,7 @@ class PlantCommand(ChildCommand):
     real_time: bool
     lost_arm: AfterLoss = AfterLoss.END
     pauses: str | None = None  # s of the trajectory, with commas: in lockstep it waits there until SIGUSR1
+    stops: bool = False  # who starts it has arms stopped that [[simulation.fault]] says hold
     common_start: Path | None = None  # file in which the run will say when the trajectory starts
     utc_offset_ns: int | None = None  # UTC minus CLOCK_MONOTONIC as the run has found it; None: as it is now
 
@@ -85,7 +86,8 @@ class EmulateCommand(ChildCommand):
     seed: int
     no_timing: bool = False
     whole: bool = False
-    common_start: Path | None = None  # this and the next as of PlantCommand
+    stops: bool = False  # this and the next as of PlantCommand
+    common_start: Path | None = None
     utc_offset_ns: int | None = None
 
 
@@ -134,6 +136,7 @@ class AgentCommand(ArmCommand, Connection):
     gripper_word: Path | None = None
     allow_no_realtime: bool = False  # a real arm may be started without real time
     wait: float = 0.0  # s, for guard and plant, where they start beside it
+    stop_in: int | None = None  # cycle of the trajectory in which a simulated run has arranged that it is stopped
 
 
 @dataclass(frozen=True, kw_only=True)

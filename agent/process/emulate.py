@@ -11,6 +11,7 @@ from agent.config.servo_map import GRIPPER, fingers_of, resting_joints
 from agent.config.session import grip_width
 from agent.host.ready_line import pairs
 from agent.host.signals import StopFlag
+from agent.process.befallen import require_done
 from agent.process.common_start import CommonStart
 from agent.process.plant import Truth
 from agent.process.rehearse import in_the_loop
@@ -68,6 +69,7 @@ def run_emulate_alone(
     report.require()
     floating = cell.file.floating.arms if cell.file.floating is not None else ()
     chosen = [(i, a) for i, a in enumerate(cell.arms) if in_the_loop(cell, a.name) or a.name in floating]
+    require_done(cell, stops=True, alone=[arm.name for _, arm in chosen])
     arms = [(i, wiring(arm, place, arm.baud)) for place, (i, arm) in enumerate(chosen)]
     emulated, _ = emulate_alone(lone_spec(cell, report.q_start), arms, timing=BusTiming() if timing else None)
     ports = {arm.name: options.ports[arm.name] for _, arm in chosen}
@@ -118,14 +120,17 @@ def run_emulate(
     begin: Begin = gripping,
     common_start: Path | None = None,
     utc_offset_ns: int | None = None,
+    stops: bool = False,
 ) -> str:
     """Serve the emulated arms until a stop; returns one line about the run.
 
     options: ports, faults and control socket; what becomes of a tick is added.  timing: False answers at once, not at
     the pace of the bus.  begin: how the arms begin.  common_start: where the run will say when the trajectory
     starts.  utc_offset_ns: UTC minus CLOCK_MONOTONIC as the run has found it;
-    None: as it is now.  ready: told once faults are read and ports are there.  Raises Refusal.
+    None: as it is now.  stops: as of `run_plant`.  ready: told once faults are read and ports are there.  Raises
+    Refusal.
     """
+    require_done(cell, stops=stops)
     report = examine(cell)
     report.require()
     emulated, world = begin(cell, report.q_start, BusTiming() if timing else None)

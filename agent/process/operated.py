@@ -69,6 +69,7 @@ class Operator:
         self._stopped = False
         self._signals_heard, self._signal = 0, ""  # of stops; which was the last, since the mode changed
         self._stops_said = 0  # in a session: signals, and holds of this host
+        self._arranged = ""  # why the arm holds by a stop that was arranged before
         self._trouble, self._holds = "", 0  # of this host: why the arm holds since the last start, and how often it did
         self._start: Request | None = None
         self._start_ns: int | None = None
@@ -195,6 +196,15 @@ class Operator:
             self._stopped, self._trouble, self._holds = True, reason, self._holds + 1
             self._tell(Level.WARN, f"holds: {reason}")
 
+    def arranged(self, reason: str) -> None:
+        """The stop comes now that was arranged before; unlike others it lets nothing go, also in simulation."""
+        self._arranged = reason
+        self._tell(Level.WARN, reason)
+
+    def now_ns(self) -> int:
+        """On the clock of the arm."""
+        return self._clock.now_ns()
+
     def mode(self, mode: Mode) -> None:
         """The arm's mode has changed."""
         self._standing.enter(mode)
@@ -205,8 +215,8 @@ class Operator:
                 self._standing.reason = way_back(mode, signal) if stands else ""
             return
         if mode is Mode.HOLD:
-            asked = self._trouble or signal or "it was asked to"
-            self._standing.reason = asked if self._stopped else "the trajectory has ended"
+            asked = self._trouble or signal or self._arranged or "it was asked to"
+            self._standing.reason = asked if self._stopped or self._arranged else "the trajectory has ended"
 
     def trouble(self, reason: str) -> None:
         """Why the arm holds when nobody asked it to."""

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from agent.config.cell import Cell
 from agent.host.ready_line import pairs
 from agent.host.signals import StopFlag
+from agent.process.befallen import require_done
 from agent.process.common_start import CommonStart
 from agent.process.pauses import Pauses
-from agent.process.rehearse import require_wall_clock
+from agent.process.rehearse import in_loop, require_wall_clock
 from agent.process.simulated import plant_spec
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
@@ -31,16 +32,17 @@ from sim_backend.served.server import serve
 def run_plant(
     cell: Cell, socket: Path, ring: Path, *, lockstep: bool, lost_arm: LostArm, stop: StopFlag,
     ready: Callable[[str], None], pauses: Pauses | None = None, common_start: Path | None = None,
-    utc_offset_ns: int | None = None,
+    utc_offset_ns: int | None = None, stops: bool = False,
 ) -> str:  # fmt: skip
     """Serve the simulated cell at `socket` until its arms have left; returns one line about the run.
 
     lost_arm: what becomes of the run when an agent dies without a word; ready is called
     once the arms can connect; pauses: instants to wait at, in lockstep; common_start: where the run will say when the
     trajectory starts, at the wall clock's pace; utc_offset_ns: UTC minus CLOCK_MONOTONIC as the run has found it; None:
-    as it is now.  Raises Refusal.
+    as it is now; stops: whoever starts this has arms stopped that are to hold.  Raises Refusal.
     """
     require_wall_clock(cell, real_time=not lockstep)
+    require_done(cell, stops=stops, alone=in_loop(cell))
     report = examine(cell)
     report.require()
     plant = build_plant(plant_spec(cell, report.q_start))

@@ -31,6 +31,11 @@ def in_the_loop(cell: CellFiles, arm: str) -> bool:
     return cell.file.hil is not None and arm in cell.file.hil.arms
 
 
+def in_loop(cell: CellFiles) -> tuple[str, ...]:
+    """The arms that [hil] names."""
+    return () if cell.file.hil is None else tuple(cell.file.hil.arms)
+
+
 def driver_of(cell: CellFiles, arm: str, asked: DriverKind | None) -> DriverKind:
     """What moves this arm; asked: on the command line.  Raises ConfigError where that contradicts [hil]."""
     if cell.file.hil is None:

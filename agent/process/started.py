@@ -171,7 +171,7 @@ def plant(command: PlantCommand, listener: Listener) -> int:
         pauses = Pauses(instants_of(command.pauses, lockstep=not command.real_time), listener.parent, requested)
     summary = run_plant(
         loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready, pauses=pauses,
-        common_start=command.common_start, utc_offset_ns=command.utc_offset_ns,
+        common_start=command.common_start, utc_offset_ns=command.utc_offset_ns, stops=command.stops,
     )  # fmt: skip
     listener.say(summary)
     return 0
@@ -182,6 +182,7 @@ def emulate(command: EmulateCommand, listener: Listener) -> int:
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import emulated_port_in, make_runtime_dir, ring_path
+    from agent.process.befallen import require_done
     from agent.process.emulate import about_the_object, gripping, run_emulate, run_emulate_alone
     from agent.process.whole import at_rest
     from agent.telemetry.row.topics import PLANT
@@ -192,6 +193,7 @@ def emulate(command: EmulateCommand, listener: Listener) -> int:
     make_folder(command.ports)
     name = loaded.file.name
     floating = loaded.file.floating
+    require_done(loaded, stops=True, whole=command.whole)
     alone = loaded.file.hil is not None or (floating is not None and not floating.holding)
     if command.ring is None and not alone:
         make_runtime_dir(name)
@@ -204,7 +206,7 @@ def emulate(command: EmulateCommand, listener: Listener) -> int:
     begins = at_rest if command.whole else gripping if floating is None else about_the_object
     summary = run_emulate(
         loaded, options, where, timing=timing, stop=requested, ready=ready, begin=begins,
-        common_start=command.common_start, utc_offset_ns=command.utc_offset_ns,
+        common_start=command.common_start, utc_offset_ns=command.utc_offset_ns, stops=command.stops,
     )  # fmt: skip
     listener.say(summary)
     return 0

@@ -9,13 +9,53 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
+from agent.config.reality import draw
+from agent.config.schema.fault import Fault, FaultKind
 from agent.log.read import read_log
+from agent.modes import Mode
+from agent.process.arranged import REASON
 from agent.study.lab import Laboratory, Run
 from agent.study.measure import measure
 from agent.study.study import worst_cell
 from agent.telemetry.row.sample import MAX_JOINTS
+from sim_backend.physics.plant import Observation
 from tests.support.coop import coop
 from tests.support.study import cell
+
+STRUCK = (("hold", "right", 0.201), ("locked", "left", 0.25), ("limp", "right", 0.3), ("open", "left", 0.402))
+
+
+def test_what_befell_the_worst_run_of_a_study_befalls_its_arms_in_coop_run_in_the_same_cycle(tmp_path: Path) -> None:
+    pads = "simulation.grasp={stiffness_N_per_m=1e5, stiffness_Nm_per_rad=100.0}"
+    studied = Laboratory(cell("simulation.ready_s=0.1", pads, "simulation.observe_rate_hz=200.0"))
+    faults = [Fault(kind=FaultKind(kind), arm=arm, at_s=at_s) for kind, arm, at_s in STRUCK]
+    path = tmp_path / "worst.toml"
+    path.write_bytes(worst_cell(studied.cell, measure(studied, None, index=3, seed=11, faults=faults), faults))
+    coop("run", path, "--no-report", "--out", tmp_path / "out")
+    log = read_log(tmp_path / "out" / "run.mcap")
+    assert log.plant is not None
+    reality = draw(studied.cell.file.tolerance, 11, studied.cell)
+    run, seen = Run(studied, reality, faults), list[Observation]()
+    for _ in range(120):
+        seen.append(run.observe())
+        run.advance()
+    rows = log.plant[: len(seen)]
+    for name in ("p_object", "quat_object", "v_object"):
+        assert np.array_equal(np.array([getattr(s, name) for s in seen]), rows[name]), name
+    for name in ("q", "dq", "tau_applied", "tau_friction"):
+        both = rows[name].reshape(len(seen), -1, MAX_JOINTS)[:, :2, :3].reshape(len(seen), 6)
+        assert np.array_equal(np.array([getattr(s, name) for s in seen]), both), name
+    assert np.array_equal(np.array([s.grasp_wrench.ravel() for s in seen]), rows["grasp_wrench"][:, :12])
+    studys, skew_s = measure(studied, reality, 3, 11, faults), run.plant.spec.arms[studied.cell.anchor].skew_s
+    end_s = 0.5 if studys.tripped_s is None else studys.tripped_s
+    counted = (rows["t"] - 0.1 > 0.2 - 1e-6) & (rows["t"] - 0.1 < end_s + 1e-6)
+    desired = [studied.cell.trajectory().at(t - 0.1 + skew_s).p for t in rows["t"][counted]]
+    error_m = np.linalg.norm(rows["p_object"][counted] - np.array(desired), axis=1).max()
+    assert studys.position_error_m == pytest.approx(error_m, rel=1e-6)
+    held = log.agents["right"]["mode"] == Mode.HOLD
+    assert np.flatnonzero(held)[0] == 20 + 41 + 1, "stopped in the cycle of 0.205 s, it holds in the next"
+    assert held[-1], "to the end: its operator lets nothing go"
+    assert [(event.source, event.text) for event in log.events if event.text == REASON] == [("right", REASON)]
 
 
 @pytest.mark.long  # test_network_independence.py compares processes with the laboratory, too

@@ -48,6 +48,7 @@ FULL = (
         real_time=True,
         lost_arm=AfterLoss.LIMP,
         pauses="1.0,2.5",
+        stops=True,
         common_start=Path("common_start"),
         utc_offset_ns=1_700_000_000_000_000_003,
     ),
@@ -61,6 +62,7 @@ FULL = (
         common_start=Path("common_start"),
         no_timing=True,
         whole=True,
+        stops=True,
         utc_offset_ns=-5,
     ),
     AgentCommand(
@@ -81,6 +83,7 @@ FULL = (
         priority=80,
         allow_no_realtime=True,
         wait=2.5,
+        stop_in=7,
         utc_offset_ns=1_700_000_000_000_000_003,
     ),
     GuardCommand(

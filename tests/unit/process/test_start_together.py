@@ -82,11 +82,11 @@ def test_an_agent_looks_for_its_guard_and_hands_over_only_when_it_is_told_to_end
     holds = options(tmp_path, 0.0)
     for one in (holds, replace(holds, hold=False)):
         for stop.stopped in (False, True):
-            assert process._watching(guarded, stop, one)()
-            assert not process._watching(None, stop, one)()
+            assert process._watching(guarded, stop, one)
+            assert not process._watching(None, stop, one)
     assert polled == [False, True, False, False]
     gone = False
-    assert not process._watching(guarded, stop, holds)()
+    assert not process._watching(guarded, stop, holds)
 
 
 def test_a_plant_that_does_not_come_is_left_to_who_connects(tmp_path: Path) -> None:
