@@ -85,6 +85,7 @@ class RunInfo:
     reality: Mapping[str, Any] = field(
         default_factory=dict
     )  # what the simulated cell had against its file; empty: nothing
+    befell: Mapping[str, str] = field(default_factory=dict)  # pushes, openings, faults of the simulated cell, in words
 
     @property
     def ticks(self) -> int:
@@ -133,7 +134,17 @@ def _typed(log: AnyLog, raw: dict[str, Any], notes: list[str]) -> RunInfo:
         host=_one_line(raw.get("host", "unknown")),
         notes=tuple(notes),
         reality=dict(raw.get("reality") or {}),
+        befell=_befell(raw.get("simulation") or {}),
     )
+
+
+def _befell(simulation: Mapping[str, Any]) -> dict[str, str]:
+    """What the cell file has happen, one by one: its table and number, and its keys with their values."""
+    return {
+        f"{table} {number}": ", ".join(f"{key} {value}" for key, value in dict(entry).items())
+        for table in ("push", "opening", "fault")
+        for number, entry in enumerate(simulation.get(table, []), 1)
+    }
 
 
 def _number(raw: Mapping[str, Any], key: str, notes: list[str]) -> float | None:

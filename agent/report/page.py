@@ -159,6 +159,7 @@ def _provenance(results: Results) -> str:
             f"controller {k}": v for k, v in _settings(info.controller) if info.adaptive or not k.startswith("adaptive")
         },
         **{f"reality {k}": v for k, v in _settings(info.reality)},
+        **{f"simulated {k}": v for k, v in info.befell.items()},
         "host": info.host,
         **{f"version of {k}": v for k, v in info.versions.items()},
     }
