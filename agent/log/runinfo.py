@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
 _WORLD_AXES: Final = ("x", "y", "z")
+_STRUCK: Final = ("limp", "hold")  # faults after which an arm follows nothing, and gives nothing up by itself
 
 
 class Bounded(Enum):
@@ -86,6 +87,7 @@ class RunInfo:
         default_factory=dict
     )  # what the simulated cell had against its file; empty: nothing
     befell: Mapping[str, str] = field(default_factory=dict)  # pushes, openings, faults of the simulated cell, in words
+    struck_s: Mapping[str, float] = field(default_factory=dict)  # of arms that its faults let go limp or stop: when
 
     @property
     def ticks(self) -> int:
@@ -119,6 +121,8 @@ def read_info(log: AnyLog) -> RunInfo:
 def _typed(log: AnyLog, raw: dict[str, Any], notes: list[str]) -> RunInfo:
     rate_hz = _number(raw, "rate_hz", notes) or _rate_of(log)
     transient_s = _number(raw, "transient_s", notes)
+    simulation = raw.get("simulation") or {}
+    faults = [one for one in simulation.get("fault", []) if one["kind"] in _STRUCK]
     return RunInfo(
         cell=str(raw.get("cell", log.cell)),
         fingerprint=str(raw.get("fingerprint", "unknown")),
@@ -134,7 +138,11 @@ def _typed(log: AnyLog, raw: dict[str, Any], notes: list[str]) -> RunInfo:
         host=_one_line(raw.get("host", "unknown")),
         notes=tuple(notes),
         reality=dict(raw.get("reality") or {}),
-        befell=_befell(raw.get("simulation") or {}),
+        befell=_befell(simulation),
+        struck_s={
+            arm: min(float(one["at_s"]) for one in faults if one["arm"] == arm)
+            for arm in dict.fromkeys(one["arm"] for one in faults)
+        },
     )
 
 

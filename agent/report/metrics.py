@@ -25,7 +25,16 @@ from agent.report.results import (
     Spread,
     WrenchSize,
 )
-from agent.report.series import Array, column, component, grasp_force, joint_columns, largest_force, missing_ranges
+from agent.report.series import (
+    Array,
+    column,
+    component,
+    going_on,
+    grasp_force,
+    joint_columns,
+    largest_force,
+    missing_ranges,
+)
 from agent.report.together import largest
 from agent.safety import AT_BOUND, Flag
 from agent.telemetry.row.sample import BUS_COUNTERS
@@ -168,11 +177,11 @@ def _internal_realised(arm: RunArm, run: Prepared) -> WrenchSize:
 
 
 def _internal_force_mean_N(run: Prepared) -> float:
-    """Mean over the ticks after the transient, until the first arm holds, of the force of the arm with the most."""
+    """Mean after the transient, until the first arm holds by itself, of the force of the arm with the most."""
     if run.grasps is None:
         return NAN
     begin_s, until_s, t = run.info.transient_s, math.inf, run.grasps.t
-    for rows in run.rows.values():
+    for rows in going_on(run.rows, run.info).values():
         held = rows["t"][(rows["mode"] != Mode.TRACK) & (rows["t"] >= begin_s)]
         until_s = min(until_s, *held[:1].tolist(), math.inf)
     counted = (t >= begin_s) & (t < until_s)

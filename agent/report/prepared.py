@@ -18,6 +18,7 @@ from agent.report.series import (
     Array,
     PoseSeries,
     column,
+    going_on,
     grasp_wrenches,
     in_run,
     internal_wrenches,
@@ -86,7 +87,7 @@ def prepare(log: AnyLog) -> Prepared:
         missing.append("no simulation in the log: no true object pose, realised internal force or realised load share")
     else:
         plant = in_run(on_time_of(Table.of(log.plant), tables.values()), info)
-        true, note = pose_by_plant(seen, plant, 1.0 / info.rate_hz)
+        true, note = pose_by_plant(going_on(seen, info), plant, 1.0 / info.rate_hz)
         missing += [note] if note else []
         grasps = _grasp_forces(plant, info, missing)
     return Prepared(log, info, whole, rows, seen, true, grasps, tuple(missing))

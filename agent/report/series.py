@@ -124,6 +124,16 @@ def in_run(rows: Table, info: RunInfo) -> Table:
     return rows[(t >= -half_s) & (t < info.duration_s - half_s)]
 
 
+def going_on(arms: Mapping[str, Table], info: RunInfo) -> Mapping[str, Table]:
+    """Rows by arm, of one that a fault of the simulated cell lets go limp or stops those before it: as a study counts.
+
+    All of them where that leaves no arm.
+    """
+    if all(name in info.struck_s for name in arms):
+        return arms
+    return {name: rows[rows["t"] < info.struck_s.get(name, np.inf)] for name, rows in arms.items()}
+
+
 def is_stale(rows: Table) -> NDArray[np.bool_]:
     """Rows (k,) of cycles that brought no fresh state: they say what was wanted, not what was."""
     return np.asarray(rows["flags"] & Flag.STALE.value != 0)

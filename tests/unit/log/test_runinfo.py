@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
+from agent.log.columns import Table
 from agent.log.runinfo import read_info
+from agent.modes import Mode
 from agent.process.describe import run_info
+from agent.report.metrics import summarise
 from agent.report.page import render
 from agent.report.results_file import write_results
+from agent.report.series import going_on
 from tests.support.telemetry.synthetic_run import paper_run, run_file
 
 TABLES = (
@@ -37,6 +42,25 @@ def test_a_report_lists_pushes_openings_and_faults_of_the_simulated_cell(tmp_pat
     page = render(write_results(log, tmp_path), (), ())
     for what, text in BEFELL.items():
         assert f"<tr><td>simulated {what}</td><td><code>{text}</code></td></tr>" in page
+
+
+def test_an_arm_that_a_fault_lets_go_limp_or_stops_ends_no_count_while_there_is_another() -> None:
+    log = paper_run(Path("run.mcap"), duration_s=21.0)
+    faults = [("limp", "left", 20.5), ("hold", "left", 20.6), ("locked", "right", 20.2), ("open", "right", 20.3)]
+    table = [{"kind": kind, "arm": arm, "at_s": at_s} for kind, arm, at_s in faults]
+    log.attachments["run.json"] = json.dumps(run_file(21.0, simulation={"fault": table})).encode()
+    info = read_info(log)
+    assert info.struck_s == {"left": 20.5}
+    arms = {name: Table.of(rows) for name, rows in log.agents.items()}
+    left = log.agents["left"]
+    left["mode"][left["t"] >= 20.4] = Mode.HOLD  # before it, by itself
+    assert going_on(arms, info)["left"]["t"][-1] < 20.5 <= left["t"][-1]
+    assert going_on(arms, info)["right"]["t"][-1] == left["t"][-1]
+    assert summarise(log).by_plant.not_tracking_rows == 20  # type: ignore[union-attr]
+    left["mode"][left["t"] < 20.5 - 1e-9] = Mode.TRACK
+    assert summarise(log).by_plant.not_tracking_rows == 0  # type: ignore[union-attr]
+    both = replace(info, struck_s={"left": 20.5, "right": 20.6})
+    assert going_on(arms, both) is arms, "or nobody would see it fall"
 
 
 @pytest.mark.parametrize("simulation", [[1], {"fault": 3}, {"fault": ["limp"]}])
