@@ -34,9 +34,8 @@ def told(tmp_path: Path) -> Told:
     """What a process with one thread prints that does this: a copy of the tests would have theirs."""
 
     def run(body: str) -> list[str]:
-        done = subprocess.run(
-            [sys.executable, "-c", BEGIN + body], cwd=tmp_path, capture_output=True, text=True, timeout=60
-        )
+        command = [sys.executable, "-c", BEGIN + body]
+        done = subprocess.run(command, cwd=tmp_path, input=TYPED, capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done.stderr
         assert done.stderr == ""
         return done.stdout.splitlines()
