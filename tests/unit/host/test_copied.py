@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-TYPED = "to the other\nand more\n"
+TYPED = "to the other\n" * 2000  # more than is read ahead
 Told = Callable[[str], list[str]]
 
 BEGIN = """
