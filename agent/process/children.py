@@ -94,7 +94,7 @@ class Children:
     def start(self, stop: Callable[[], bool], progress: Progress) -> None:
         """Start all, recorder first.  Raises ChildFailed, ControlError, StoppedEarly; arms may have torque then."""
         self._stop = stop
-        progress.phase("starting", still=True)
+        progress.phase("starting", still=self._copied)
         if self._copied:
             load(servos=self._kind.has_servos)
         self._recorder = self._kept("recorder", self._record_command(), self._cores.listeners)

@@ -285,7 +285,7 @@ def test_an_arm_that_holds_before_all_are_started_is_told_of_at_once_and_none_is
     monkeypatch.setattr(real_arms, "ASK_EVERY_S", 0.0)
     words = r"arm left: found it holds \(servo 3 is hot\) before all arms were started, .*its log is arm-left.log"
     with pytest.raises(ChildFailed, match=words):
-        made.start(lambda: False, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+        made.start(lambda: False, SimpleNamespace(phase=lambda _, **__: None))  # type: ignore[arg-type]
     assert made._real.beside.told[-1].startswith("arm left HOLDS (servo 3 is hot): support it, then press Enter")  # type: ignore[attr-defined]
     assert not started
 
@@ -310,7 +310,7 @@ def test_a_start_that_an_arm_refuses_because_it_holds_by_then_names_the_hold(
     monkeypatch.setattr(words, "start_together", start_together)
     kind, text = (ChildFailed, "arm left: found it holds") if holds else (ControlError, "left refuses")
     with pytest.raises(kind, match=text):
-        made.start(lambda: False, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+        made.start(lambda: False, SimpleNamespace(phase=lambda _, **__: None))  # type: ignore[arg-type]
     assert refused
 
 
@@ -328,14 +328,14 @@ def test_a_process_that_ends_before_all_arms_are_started_ends_the_start(
         return False
 
     with pytest.raises(ChildFailed, match=f"{ended}: found ended before all arms were started"):
-        made.start(look, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+        made.start(look, SimpleNamespace(phase=lambda _, **__: None))  # type: ignore[arg-type]
     assert not started
 
 
 def begin(folder: Path, stop: Stop, says: dict[str, tuple[str, ...]]) -> Starting:
     made = Starting(folder, says)
     with pytest.raises(StoppedEarly, match="a stop while its processes started") as told:
-        made.start(stop, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+        made.start(stop, SimpleNamespace(phase=lambda _, **__: None))  # type: ignore[arg-type]
     assert told.value.exit_code == 130
     return made
 
@@ -372,7 +372,7 @@ def test_all_ready_is_not_too_late_for_a_stop(
     monkeypatch.setattr(real_arms, "ask_arms", lambda *_: {})  # how often it looks does not depend on time
     stop = Stop(10**9)
     counting = Starting(tmp_path, READY_FOR_ALL)
-    counting.start(stop, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+    counting.start(stop, SimpleNamespace(phase=lambda _, **__: None))  # type: ignore[arg-type]
     assert len(started) == 1
     begin(tmp_path, Stop(stop.looks), READY_FOR_ALL).abandon()
     assert len(started) == 1, "the last look is right before the start"
