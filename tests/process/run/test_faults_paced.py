@@ -17,7 +17,7 @@ HELD_S, LIMP_S, SOON_S = 1.2, 1.8, 0.06
 FAULTS = f"{{kind='hold', arm='right', at_s={HELD_S}}}, {{kind='limp', arm='left', at_s={LIMP_S}}}"
 
 
-@pytest.mark.realtime
+@pytest.mark.paced
 @pytest.mark.parametrize("kind", ["--real-time", "--wire"])
 def test_faults_come_at_their_instant_from_the_common_start(tmp_path: Path, kind: str) -> None:
     coop(
