@@ -8,7 +8,7 @@ import pytest
 
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.process import emulate, plant
-from agent.process.befallen import require_done
+from agent.process.befallen import require_done, stop_in
 from sim_backend.served.options import LostArm
 from sim_backend.wire.serve import ServeOptions
 from tests.support.command import coop
@@ -31,6 +31,14 @@ def test_who_does_everything_is_refused_nothing() -> None:
     for kind in ("limp", "locked", "open"):
         require_done(cell(kind), stops=False)
         require_done(cell(kind, "right"), stops=True, alone=("left",))
+
+
+def test_an_arm_is_stopped_in_the_first_cycle_in_which_the_cell_says_that_it_holds() -> None:
+    faults = (("hold", "left", 2.0), ("hold", "left", 1.003), ("limp", "left", 0.1), ("hold", "right", 0.5))
+    table = ", ".join(f"{{kind='{kind}', arm='{arm}', at_s={at_s}}}" for kind, arm, at_s in faults)
+    befallen = load_cell(Path("two_wx200"), [f"simulation.fault=[{table}]"])
+    assert [stop_in(befallen, arm) for arm in ("left", "right")] == [201, 100]
+    assert [stop_in(cell("limp"), arm) for arm in ("left", "right")] == [None, None]
 
 
 def test_a_plant_by_hand_stops_nobody(tmp_path: Path) -> None:

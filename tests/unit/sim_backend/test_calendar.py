@@ -62,6 +62,12 @@ def test_everything_happens_at_its_substep_and_pushes_add_up() -> None:
     assert told.advance(calendar, 5) == [5]
 
 
+def test_a_seized_joint_creeps_by_five_milliradians_a_second_for_a_newton_metre() -> None:
+    told = Told()
+    told.advance(Calendar([Seizure(0.001, "left")], 1e-3), 2)
+    assert told.seen == [(1, ("left", pytest.approx(1.0 / 5e-3)))]
+
+
 def test_what_waits_happens_later_by_as_much_as_it_is_then_told() -> None:
     one = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     calendar, told = Calendar([Push(0.003, 0.004, one), Opening(0.005, "left")], 1e-3), Told()
