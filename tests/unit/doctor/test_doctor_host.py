@@ -235,7 +235,7 @@ def test_exit_code_is_that_of_the_worst_line() -> None:
 def test_json_has_every_line_and_the_figures() -> None:
     diagnosis = examined(build(timing=BusTiming()))
     document = diagnosis.document()
-    assert document["verdict"] == "ok"
+    assert (document["schema"], document["verdict"]) == (1, "ok")
     assert len(document["findings"]) == len(diagnosis.findings)
     assert set(document["findings"][0]) == {"what", "where", "found", "wanted", "verdict", "remedy"}
     cycle = document["cycles"]["left"]

@@ -89,7 +89,10 @@ def test_a_grasp_that_slips_and_does_not_open_is_told_with_how_far_and_misses_no
         (from_s, Level.WARN, "the grasp of right slips")
     ]
     log.plant["slip_rad"][:, 0] = 1.1e-3
-    assert [line.split()[0] for line in summarise(log).loss.slips()] == ["left", "right"], "as they began"
+    turned, shifted = summarise(log).loss.slips()  # as they began
+    assert turned.startswith("left from ")
+    assert turned.endswith(", by 0\xa0mm, 1.10\xa0mrad")
+    assert shifted.startswith("right from ")
 
 
 def test_an_object_that_only_turns_is_lost_too() -> None:
