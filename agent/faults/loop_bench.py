@@ -41,9 +41,8 @@ class LoopBench(Bench):
     start_after_ns = READY_NS
 
     def _build(self, reality: Reality | None) -> EmulatedCell:
-        cell, hil = self.cell, self.cell.file.hil
-        assert hil is not None
-        chosen = [i for i, arm in enumerate(cell.arms) if arm.name in hil.arms]
+        cell = self.cell
+        chosen = [i for i, arm in enumerate(cell.arms) if arm.name in cell.file.looped]
         wired = [(i, wiring(cell.arms[i], place, cell.arms[i].baud)) for place, i in enumerate(chosen)]
         emulated, lone = emulate_alone(lone_spec(cell, self._q_start), wired, timing=BusTiming())
         self._lone = {arm.name: arm for arm in lone.arms}

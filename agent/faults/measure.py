@@ -248,8 +248,7 @@ def _share(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> 
 
 def _apart(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> float:
     rows, t = _timed(arm, run)
-    looped = cell.file.hil is not None and name in cell.file.hil.arms
-    if not (looped and len(rows)):
+    if name not in cell.file.looped or not len(rows):
         return 0.0
     apart = np.abs(rows["q_twin"] - rows["q_measured"])[:, : cell.arm(name).n]
     return largest_or_zero(np.nan_to_num(apart[t >= onset]).ravel())

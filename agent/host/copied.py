@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO, Final, NoReturn
 
@@ -43,10 +43,10 @@ class Copy:
         self.stdout = os.fdopen(reads, "rb", buffering=0)
         self.returncode: int | None = None
         try:
-            with _deaf() as before:  # a signal for the copy waits until it hears as a new process does
+            with _deaf() as deaf:  # a signal for the copy waits until it hears as a new process does
                 self.pid = os.fork()
                 if not self.pid:
-                    _live(name, be, (writes, words.fileno()), before)
+                    _live(name, be, (writes, words.fileno()), deaf)
         finally:
             os.close(writes)
 
@@ -78,16 +78,16 @@ class Copy:
 
 
 @contextlib.contextmanager
-def _deaf() -> Iterator[set[signal.Signals]]:
+def _deaf() -> Iterator[Collection[int]]:
     """For a moment in which no signal is heard; what was deaf before."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
     try:
-        yield before  # type: ignore[misc]
+        yield before
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _live(name: str, be: Callable[[], int], streams: tuple[int, int], deaf: set[signal.Signals]) -> NoReturn:
+def _live(name: str, be: Callable[[], int], streams: tuple[int, int], deaf: Collection[int]) -> NoReturn:
     """Be the copy, to its end; nothing of who was copied goes on."""
     code = 1
     try:

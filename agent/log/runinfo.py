@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from agent.config.schema.fault import FaultKind
 from agent.host.info import RUN_FILE
 from drivers.interface import Refusal
 
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
 _WORLD_AXES: Final = ("x", "y", "z")
-_STRUCK: Final = ("limp", "hold")  # faults after which an arm follows nothing, and gives nothing up by itself
+# after these an arm follows nothing, and gives nothing up by itself
+_STRUCK: Final = (FaultKind.LIMP, FaultKind.HOLD)
 
 
 class Bounded(Enum):

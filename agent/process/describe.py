@@ -47,7 +47,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "noticing_touch": _touch(cell),
         "noticing_brace_N": None if (pull_back := brace(cell)) is None else pull_back.limit_N,
         "driver": driver.value,
-        "hil": cell.file.hil.arms if cell.file.hil is not None else [],
+        "hil": list(cell.file.looped),
         "seed": seed,
         "versions": versions(),
         "host": socket.gethostname(),

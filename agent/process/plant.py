@@ -16,7 +16,7 @@ from agent.host.signals import StopFlag
 from agent.process.befallen import require_done
 from agent.process.common_start import CommonStart
 from agent.process.pauses import Pauses
-from agent.process.rehearse import in_loop, require_wall_clock
+from agent.process.rehearse import require_wall_clock
 from agent.process.simulated import plant_spec
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
@@ -42,7 +42,7 @@ def run_plant(
     as it is now; stops: whoever starts this has arms stopped that are to hold.  Raises Refusal.
     """
     require_wall_clock(cell, real_time=not lockstep)
-    require_done(cell, stops=stops, alone=in_loop(cell))
+    require_done(cell, stops=stops, alone=cell.file.looped)
     report = examine(cell)
     report.require()
     plant = build_plant(plant_spec(cell, report.q_start))

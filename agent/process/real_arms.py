@@ -181,7 +181,7 @@ class RealChildren(Children):
         super().__init__(cell, *given, **more)
         make_runtime_dir(cell.file.name)
         self._real = real
-        self._names = tuple(cell.file.hil.arms) if cell.file.hil is not None else ()
+        self._names = cell.file.looped
         self._guards: dict[str, Child] = {}
         controls = {arm.name: self._control(arm.name) for arm in cell.arms}
         self._holding = Holding(controls, self._names, str(cell_path), real.beside)

@@ -28,12 +28,7 @@ FLAT = 1e-3  # of the largest singular value: a direction in which joints feel n
 
 def in_the_loop(cell: CellFiles, arm: str) -> bool:
     """Whether [hil] names this arm."""
-    return cell.file.hil is not None and arm in cell.file.hil.arms
-
-
-def in_loop(cell: CellFiles) -> tuple[str, ...]:
-    """The arms that [hil] names."""
-    return () if cell.file.hil is None else tuple(cell.file.hil.arms)
+    return arm in cell.file.looped
 
 
 def driver_of(cell: CellFiles, arm: str, asked: DriverKind | None) -> DriverKind:

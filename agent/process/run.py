@@ -15,7 +15,7 @@ from agent.process.children import Children
 from agent.process.folder import LOG_NAME, RunError, output_folder, words_of
 from agent.process.progress import Progress
 from agent.process.real_arms import RealArms, RealChildren
-from agent.process.rehearse import in_loop, in_the_loop, require_wall_clock
+from agent.process.rehearse import in_the_loop, require_wall_clock
 from agent.process.run_folder import rings_bytes, run_folder
 from agent.process.run_kind import RunKind
 from agent.report.names import picture_files
@@ -87,7 +87,7 @@ def _examined(options: RunOptions, progress: Progress) -> Cell:
     """The cell, which may run.  Raises Refusal."""
     cell = _cell_of(options)
     require_wall_clock(cell, real_time=options.kind is RunKind.HIL, found=f"a run in {options.kind.value}")
-    require_done(cell, stops=True, alone=in_loop(cell), whole=options.whole)
+    require_done(cell, stops=True, alone=cell.file.looped, whole=options.whole)
     if options.real is not None:
         options.real.require(cell, options.faults)
     if options.faults is not None:

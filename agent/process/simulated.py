@@ -39,8 +39,7 @@ def plant_spec(
     say: what is otherwise about an arm is so about the real one (`lone_spec`).  Raises PlantError (GraspError) where it
     cannot be.
     """
-    hil = cell.file.hil
-    spec = _realised(cell, q_start, reality or reality_of(cell), () if hil is None else hil.arms)
+    spec = _realised(cell, q_start, reality or reality_of(cell), cell.file.looped)
     return replace(spec, happenings=(*spec.happenings, *_struck(cell, faults)))
 
 

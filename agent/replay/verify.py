@@ -105,7 +105,7 @@ def verify(
             notes.append(f"{name}: recorded by another release; not compared: {', '.join(lacking)}")
         tell(f"replaying {name}")
         rows = window.of(log.agents[name])
-        looped = cell.file.hil is not None and name in cell.file.hil.arms
+        looped = name in cell.file.looped
         checked = _Verifier(build_agent(cell, cell.arm(name)), cell.config_id, readable, in_the_loop=looped)
         arms.append(checked.run(rows, blocks(rows, layout, readable)))
     compared = Comparison(tuple(arms), tuple(notes))

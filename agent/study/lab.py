@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.config import monitors
 from agent.config.cell import Cell
-from agent.config.schema.fault import Fault, FaultKind
+from agent.config.schema.fault import NS, Fault, FaultKind
 from agent.config.schema.reality import Reality
 from agent.control.memory import Memory
 from agent.control.quaternion import Quat, Vec3
@@ -35,7 +35,6 @@ from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import PlantSpec
 
 _TROUBLE: Final = int(TROUBLE)  # asking a flag for another one takes 0.5 µs
-NS: Final = 1e-9
 
 
 class Laboratory:

@@ -144,10 +144,7 @@ def _may_meet(arms: Sequence[Arm]) -> bool:
 
 
 def _shared_port(cell: Cell, port: str, sharing: Sequence[Arm]) -> Finding:
-    hil = cell.file.hil
-    real = [
-        arm for arm in sharing if cell.file.driver is DriverKind.DYNAMIXEL or (hil is not None and arm.name in hil.arms)
-    ]
+    real = [arm for arm in sharing if cell.file.driver is DriverKind.DYNAMIXEL or arm.name in cell.file.looped]
     for host, count in Counter(arm.entry.host for arm in real).items():
         if host is not None and count > 1:
             names = " and ".join(arm.name for arm in real if arm.entry.host == host)

@@ -127,6 +127,11 @@ class CellFile(Strict):
     """The arms, one table each."""
 
     @property
+    def looped(self) -> tuple[str, ...]:
+        """The arms that [hil] has in the loop; none without it."""
+        return () if self.hil is None else tuple(self.hil.arms)
+
+    @property
     def p_place_m(self) -> tuple[float, float, float]:
         """Where the object stands before the run: its start pose, or below it where a session lifts it."""
         lift_m = 0.0 if self.session is None else self.session.lift_m

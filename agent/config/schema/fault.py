@@ -7,7 +7,7 @@ from typing import Annotated, Final
 
 from agent.config.schema.types import AS_LIST, Instant, Name, Strict
 
-NS: Final = 1e-9
+NS: Final = 1e-9  # s
 
 
 class FaultKind(enum.StrEnum):
