@@ -24,9 +24,10 @@ from agent.operator.error import ControlError
 from agent.operator.message import Reply, Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
-from agent.process import real_arms
+from agent.process import children, real_arms
 from agent.process.children import Children
 from agent.process.commands import AgentCommand, GuardCommand
+from agent.process.entry import main
 from agent.process.real_arms import GONE_AFTER, Holding, RealArms, RealChildren
 from agent.process.run_kind import RunKind
 from agent.process.started import Listener
@@ -253,6 +254,18 @@ class Stop:
     def __call__(self) -> bool:
         self.looks += 1
         return self.looks >= self.at
+
+
+def test_processes_of_real_arms_are_started_anew_and_those_of_simulated_ones_are_copies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[object] = []
+    monkeypatch.setattr(children, "Child", lambda *given: made.append(given[-1]))
+    real = Starting(tmp_path, {})
+    simulated = Children(real._cell, RunKind.HIL, 0, None, tmp_path / "run.mcap", tmp_path)
+    for whose in (real, simulated):
+        Children._child(whose, "arm-left", whose._agent_command("left"))
+    assert made == [None, main]
 
 
 READY_FOR_ALL = {"arm-left": ("ring", "torque"), "arm-right": ("ring", "torque")}
