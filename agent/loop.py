@@ -28,17 +28,15 @@ from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Residual, Sense, nothing_sensed
 from agent.control.terms import CMD, DDQ_REF, Terms
 from agent.control.trajectory import Desired, Trajectory, at_rest
+from agent.missed import MANY, in_time, periods
 from agent.modes import FLOATING, Mode
 from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
 
 SINGULAR_MARGIN = 1.5  # a stop for singularity holds where the law is not called again at once
 RETURN_RAD = 0.04  # a hold that has braked goes back no farther, so that it does not become fast again
-GENTLE_TICKS = 100  # with a state in time, until a hold that was starved is as stiff as its joints allow
 GENTLE_RAD_PER_S = 5.0  # how stiff it is until then; less where 30 periods are longer than a second
 GENTLE_REACH_RAD = 0.1  # beyond it a gentle hold pulls no harder, which bounds how fast it comes back
-STARVED_PERIODS, MANY = 3.5, 4  # from one state to the next, above which an arm has missed some
-FORGIVEN_TICKS = 20  # with a state in time, until that is forgotten; a hold that misses some again before is gentle
 _TRACK, _HOLD, _READY = Mode.TRACK, Mode.HOLD, Mode.READY  # looking them up in their class takes 0.1 µs each
 _NOT_FINITE = int(Flag.NOT_FINITE)  # asking a flag for another one takes 0.5 µs
 _ALIGNING = (_READY, _TRACK)  # the shift changes while the arm waits for the motion or follows it
@@ -97,7 +95,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
 
     state: measured joints; t: time since the trajectory's zero, s; memory: as the last tick left it.
     """
-    memory = _in_time(agent, t, memory) if mode is _HOLD else memory
+    memory = in_time(agent.period_s, t, memory) if mode is _HOLD else memory
     if agent.observer is None:
         q, dq = state.q, state.dq
     else:
@@ -139,8 +137,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         return Outcome(q, dq, terms, limited, flags, memory._replace(tau=limited, primed=False))
     sense, sensed, shift = memory.sense, None, memory.shift
     if agent.residual is not None:
-        periods = _periods(agent, t, memory) if mode is _TRACK else 1  # before the start, t jumps to it
-        sense, sensed, unexpected = _sense(agent.residual, mode, memory, terms, dq, periods)
+        since = periods(agent.period_s, t, memory) if mode is _TRACK else 1  # before the start, t jumps to it
+        sense, sensed, unexpected = _sense(agent.residual, mode, memory, terms, dq, since)
         if unexpected:
             flags |= Flag.UNEXPECTED
     if agent.alignment is not None and memory.primed and mode in _ALIGNING:
@@ -158,26 +156,6 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         memory.missed if mode is _HOLD else 0, braced,
     )  # fmt: skip
     return Outcome(q, dq, terms, limited, flags, carried, sensed)
-
-
-def _in_time(agent: Agent, t: float, memory: Memory) -> Memory:
-    """Memory of a hold that has a state at t, and knows for a while that it had none for some cycles.
-
-    Missed once, the hold goes on as it was: only the law knows what the arm carries beyond its share, as of a limp
-    neighbour.  Its observer begins anew, for it expects the next period.  Missed again before that is forgotten, the
-    law itself would shake the arm.
-    """
-    if _periods(agent, t, memory) == MANY:
-        again = memory.missed or memory.calm > JOINTS
-        calm = JOINTS + GENTLE_TICKS + 1 if again else memory.calm
-        return memory._replace(primed=False, calm=calm, missed=FORGIVEN_TICKS)
-    return memory._replace(missed=memory.missed - 1) if memory.missed else memory
-
-
-def _periods(agent: Agent, t: float, memory: Memory) -> int:
-    """Since the last tick that had a state; MANY: it is not to be worked out what has been meanwhile."""
-    passed, T = t - memory.t, agent.period_s
-    return MANY if passed > STARVED_PERIODS * T else 1 + (passed > 1.5 * T) + (passed > 2.5 * T)
 
 
 def _without(agent: Agent, mode: Mode, q: Vector, dq: Vector, flag: Flag, memory: Memory) -> Outcome:
@@ -206,17 +184,17 @@ def _weight(agent: Agent, mode: Mode, memory: Memory) -> tuple[Vector, Flag]:
 
 
 def _sense(
-    residual: Residual, mode: Mode, memory: Memory, terms: Terms, dq: Vector, periods: int
+    residual: Residual, mode: Mode, memory: Memory, terms: Terms, dq: Vector, since: int
 ) -> tuple[Sense, tuple[float, ...] | None, bool]:
     """State of the residual after this tick, what the row says of it, and whether it asks for a hold."""
     if terms.J_inv_P is None:
         return nothing_sensed(len(dq)), None, False
     sense = memory.sense if memory.primed else nothing_sensed(len(dq))
     sent = (memory.tau, memory.tau_before)
-    if periods == MANY and sense.ticks:
+    if since == MANY and sense.ticks:
         sense = residual.over_a_gap(sense, terms, dq)
     else:
-        sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY, periods=periods)
+        sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY, periods=since)
     wrench = terms.J_inv_P.T.dot(sense.residual)
     found = residual.channels(sense, wrench)
     unexpected = mode is _TRACK and (residual.tripped(found, sense, wrench) or residual.pulled(sense))

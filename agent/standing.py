@@ -14,7 +14,8 @@ from agent.control.alignment import between
 from agent.control.brace import NOT_BRACED, begun
 from agent.control.errors import Errors, attitude_angle
 from agent.control.memory import Memory
-from agent.loop import GENTLE_TICKS, Agent, Outcome
+from agent.loop import Agent, Outcome
+from agent.missed import GENTLE_TICKS
 from agent.modes import Mode
 from agent.safety import Flag
 from drivers.interface import Vector

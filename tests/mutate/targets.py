@@ -141,6 +141,7 @@ TARGETS = (
     Target("agent.process.befallen", (f"{UNIT}/process/test_befallen.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", _STEP),
+    Target("agent.missed", _STEP),
     Target("agent.standing", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),

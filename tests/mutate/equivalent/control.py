@@ -101,8 +101,10 @@ CONTROL: Entries = {
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
-    "agent.loop": {
+    "agent.missed": {
         ("", _MANY, _MANY.replace("4", "5")): "a name for more than three: it is compared with itself alone",
+    },
+    "agent.loop": {
         (
             "step",
             "speed = felt(dq, state.dq) if damped else dq",
