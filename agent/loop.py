@@ -20,6 +20,7 @@ from agent.control.brace import NOT_BRACED, Brace, braced_with
 from agent.control.errors import Errors, attitude_angle
 from agent.control.estimator import Observer
 from agent.control.floating import Floating
+from agent.control.friction_factor import FrictionFactor
 from agent.control.inverse import SingularJacobian
 from agent.control.law import Offline
 from agent.control.memory import Memory, initial
@@ -63,6 +64,7 @@ class Agent:
     start: tuple[Vec3, Quat] | None = None  # where the cell says that the object is before the start
     alignment: Alignment | None = None  # None: READY holds what this arm sees, TRACK follows the common motion
     residual: Residual | None = None  # None: nothing is sensed through the object
+    friction_factor: FrictionFactor | None = None  # None: friction is what the file says, or the adaptive law's
     brace: Brace | None = None  # None: a hold that is carried on does not pull back
     damp_above_rad_per_s: float = math.inf  # a joint faster than this in HOLD is braked
     session: phases.Session | None = None  # None: the arm begins with the object in its gripper
@@ -143,6 +145,9 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
             flags |= Flag.UNEXPECTED
     if agent.alignment is not None and memory.primed and mode in _ALIGNING:
         shift = agent.alignment.advance(shift, terms.errors, agent.period_s, ready=mode is _READY)
+    factor = memory.friction_factor
+    if agent.friction_factor is not None and mode is _TRACK and sensed is not None:
+        factor = agent.friction_factor.advance(factor, sense.residual, terms.tau_friction, dq, agent.period_s)
     if session is not None and mode is _TRACK:
         shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
     braced = NOT_BRACED
@@ -153,7 +158,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     carried = Memory(
         q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
         memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,
-        memory.missed if mode is _HOLD else 0, braced,
+        memory.missed if mode is _HOLD else 0, braced, factor,
     )  # fmt: skip
     return Outcome(q, dq, terms, limited, flags, carried, sensed)
 
@@ -242,7 +247,7 @@ def _law(
     if mode is _HOLD and memory.braced.force_N:
         offline = braced_with(offline, memory.braced, desired.quat)
     if adaptation is None:
-        return known.torque(agent.model, offline, q, dq, desired), None, False
+        return known.torque(agent.model, offline, q, dq, desired, memory.friction_factor), None, False
     if estimate is None:
         raise TypeError("the adaptive law needs the estimate that its memory began with (initial_memory)")
     terms, gradient = adaptive.torque(agent.model, offline, adaptation, estimate, q, dq, desired)
@@ -256,7 +261,7 @@ def _of_object(agent: Agent, memory: Memory, q: Vector, dq: Vector, desired: Des
     """The law of the object, learning nothing."""
     adaptation, estimate = agent.offline.adaptation, memory.estimate
     if adaptation is None or estimate is None:
-        return known.torque(agent.model, agent.offline, q, dq, desired)
+        return known.torque(agent.model, agent.offline, q, dq, desired, memory.friction_factor)
     return adaptive.torque(agent.model, agent.offline, adaptation, estimate, q, dq, desired)[0]
 
 

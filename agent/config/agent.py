@@ -57,6 +57,7 @@ def _working(cell: Cell, arm: Arm, *, alone: bool = False) -> Agent:
         start=coordination.start_pose(cell),
         alignment=coordination.alignment(cell, arm),
         residual=coordination.residual(cell, arm),
+        friction_factor=coordination.friction_factor(cell, arm),
         brace=noticing.brace(cell),
         damp_above_rad_per_s=math.inf if safety.hold_speed_max_rad_per_s is None else safety.hold_speed_max_rad_per_s,
         session=None if alone else _session(cell, arm, tau_max),

@@ -1,12 +1,17 @@
-"""How an arm of a cell lives with the others: its alignment and its sense of what acts on it."""
+"""How an arm of a cell lives with the others: its alignment, what it senses of them, and what it learns of friction."""
 
 from __future__ import annotations
 
 from agent.config import noticing
 from agent.config.cell import Arm, Cell
+from agent.config.friction import unfiled
+from agent.config.schema.controller import ControllerKind
 from agent.control.alignment import Alignment
+from agent.control.friction_factor import FrictionFactor
 from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Residual
+
+LEAST_FRICTION = 0.1  # times the file's, whatever the cell states
 
 
 def alignment(cell: Cell, arm: Arm) -> Alignment | None:
@@ -42,6 +47,20 @@ def residual(cell: Cell, arm: Arm) -> Residual | None:
         touch=noticing.touch(cell, limits),
         bearing=noticing.bearing(cell, arm),
     )
+
+
+def friction_factor(cell: Cell, arm: Arm) -> FrictionFactor | None:
+    """What this arm learns of its friction; None where nothing is fed forward or noticed, or all of it is known.
+
+    The adaptive law has columns of its own for it.
+    """
+    controller, friction = cell.file.controller, cell.offline(arm).friction
+    if friction is None or controller.kind is ControllerKind.ADAPTIVE or not cell.file.safety.noticing.enabled:
+        return None
+    least, most = cell.tolerance.friction
+    most *= 1.0 + unfiled(cell.tolerance, arm.servos)[0]
+    found = FrictionFactor.of(friction, controller.friction_learning_per_s, max(least, LEAST_FRICTION), most)
+    return found if found.per_s and found.usual_W and found.least < found.most else None
 
 
 def start_pose(cell: Cell) -> tuple[Vec3, Quat]:

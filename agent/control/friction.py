@@ -97,18 +97,18 @@ class Friction:
         object.__setattr__(self, "sticks", any(joint.sticks for joint in self.joints))
         object.__setattr__(self, "_pairs", tuple((p.coulomb_Nm, p.viscous_Nm_s_per_rad) for p in self.joints))
 
-    def gliding(self, dq_ref: Sequence[float]) -> list[float]:
-        """Torques (n,) that friction takes at dq_ref (n,) where no joint sticks."""
+    def gliding(self, dq_ref: Sequence[float], factor: float = 1.0) -> list[float]:
+        """Torques (n,) that friction takes at dq_ref (n,) where no joint sticks; factor: of all that is not viscous."""
         s, tanh = 1.0 / self.smooth_rad_per_s, math.tanh
-        return [c * tanh(v * s) + d * v for (c, d), v in zip(self._pairs, dq_ref, strict=True)]
+        return [factor * c * tanh(v * s) + d * v for (c, d), v in zip(self._pairs, dq_ref, strict=True)]
 
-    def torque(self, dq_ref: Vector, dq: Vector, tau_law: Vector) -> Vector:
-        """Torque that friction takes, to be added to the law's tau_law; arrays (n,)."""
+    def torque(self, dq_ref: Vector, dq: Vector, tau_law: Vector, factor: float = 1.0) -> Vector:
+        """Torque that friction takes, to be added to the law's tau_law; arrays (n,).  factor: as of `gliding`."""
         if not self.sticks:
-            return np.array(self.gliding(dq_ref.tolist()))
+            return np.array(self.gliding(dq_ref.tolist(), factor))
         s = 1.0 / self.smooth_rad_per_s
         taken = []
         for p, v_ref, v, tau in zip(self.joints, dq_ref.tolist(), dq.tolist(), tau_law.tolist(), strict=True):
             sign, drag = math.tanh(v_ref * s), p.viscous_Nm_s_per_rad * v_ref
-            taken.append(sign * p.bound(p.breakaway_left(v), tau + drag, sign) + drag)
+            taken.append(factor * sign * p.bound(p.breakaway_left(v), tau + drag, sign) + drag)
         return np.array(taken)

@@ -25,8 +25,13 @@ from agent.control.trajectory import Desired
 from drivers.interface import Vector
 
 
-def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: Desired) -> Terms:
-    """One tick of the law at this arm's (q, dq), each (n,).  Raises SingularJacobian."""
+def torque(
+    model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: Desired, friction_factor: float = 1.0
+) -> Terms:
+    """One tick of the law at this arm's (q, dq), each (n,).  Raises SingularJacobian.
+
+    friction_factor: of the feed-forward (agent.control.friction_factor).
+    """
     k, e, joints, sigma_min, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
     dq_ref, ddq_ref = joints[DQ_REF], joints[DDQ_REF]
     c, f = offline.load_share, object_wrench(offline, k, e)
@@ -37,12 +42,12 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
     wrench_internal = add_wrenches(model, offline, k, e, load, joints)
     friction = offline.friction
     if friction is not None and not friction.sticks:
-        joints[FRICTION] = friction.gliding(dq_ref.tolist())
+        joints[FRICTION] = friction.gliding(dq_ref.tolist(), friction_factor)
     if offline.posture is not None:
         joints[POSTURE] = offline.posture.torque(q, dq, k.J, J_inv)
     tau_law = add_sums(joints)  # eq:control law
     if friction is not None and friction.sticks:
-        add_friction(joints, friction.torque(dq_ref, dq, tau_law))
+        add_friction(joints, friction.torque(dq_ref, dq, tau_law, friction_factor))
     return Terms(
         desired,
         k,

@@ -45,6 +45,7 @@ class Memory(NamedTuple):
     age: float = 0.0  # s of the ticks in this mode; what goes by it is not hurried by ticks that were missed
     missed: int = 0  # ticks until a hold forgets that it had no state for some (agent.loop)
     braced: Braced = NOT_BRACED  # of a hold that is carried on (agent.control.brace)
+    friction_factor: float = 1.0  # times the file's friction (agent.control.friction_factor)
 
     @property
     def calm_and_missed(self) -> int:
@@ -56,14 +57,14 @@ class Memory(NamedTuple):
 
         Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm and MISSED times
         `missed`, age; of `sense` the wrenches (6), `ticks`, the pull against the motion and down (14), what is plain
-        (8), what strikes (5) and what friction bears (4); how a hold is braced (5).
+        (8), what strikes (5) and what friction bears (4); how a hold is braced (5); the factor of friction.
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
         for row, array in zip(joints, (*own, self.q_hold, *sense[:3]), strict=True):
             if array is not None:
                 row[:n] = array
-        behind = self.calm_and_missed, self.age, *sense.wrenches, *self.braced
+        behind = self.calm_and_missed, self.age, *sense.wrenches, *self.braced, self.friction_factor
         rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, *behind
         return [*joints.ravel().tolist(), *map(float, rest)]
 
@@ -109,4 +110,5 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         age=tail[16],
         missed=missed,
         braced=braced_of(tail[braced_at:]),
+        friction_factor=(tail[braced_at + BRACED :] or [1.0])[0],  # older rows have none
     )

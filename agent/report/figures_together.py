@@ -92,6 +92,19 @@ def disagreement(run: Prepared) -> Figure:
 
 
 @styled
+def friction(run: Prepared) -> Figure:
+    """What each arm has learned of its friction, in times that of its file."""
+    figure, axes = panels(1, height_in=1.9, names_in=_room(run))
+    for number, arm in enumerate(run.arms):
+        rows = run.rows[arm.name]
+        line(axes[0], column(rows, "t"), column(rows, "friction_factor"), label=arm.name, **_look(number))
+    axes[0].set(ylabel="factor [1]", title="Friction, in times that of the arm's file")
+    end_labels(axes[0])
+    time_axis(axes, run.info.duration_s)
+    return figure
+
+
+@styled
 def noticed(run: Prepared) -> Figure:
     """What acts on each arm beside its load share, as the arm itself finds it: its fast and its slow part."""
     figure, axes = panels(2, 2, height_in=1.7, sharey="row", names_in=_room(run, HOLDS_ABOVE, A_TOUCH))

@@ -22,6 +22,10 @@ APART: Final = (
     "Distance between where two arms believe the object to be; below, where the cell lets them align, by how much each "
     "has shifted its desired pose."
 )
+FRICTION: Final = (
+    "How many times the friction of its file each arm takes itself to have: learned from the power that it loses, and "
+    "compensated."
+)
 NOTICED: Final = (
     "Force and moment on each arm beside its load share, as the arm finds them from its own joints: the sudden part on "
     "top, the part that stays below. Dotted: above it the arm holds; where a sudden force has two such lines, it holds "
@@ -50,6 +54,8 @@ def together(run: Prepared) -> list[Picture]:
     if len(run.seen) > 1:
         draw = partial(figures_together.disagreement, run)
         found.append(Picture("disagreement", "Disagreement of the arms", APART, draw))
+    if any(np.any(column(rows, "friction_factor") != 1.0) for rows in run.rows.values()):
+        found.append(Picture("friction", "Friction", FRICTION, partial(figures_together.friction, run)))
     if any(np.isfinite(column(rows, "unexpected")).any() for rows in run.rows.values()):
         draw = partial(figures_together.noticed, run)
         found.append(Picture("noticed", "What the arms notice of each other", NOTICED, draw))

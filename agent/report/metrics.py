@@ -126,6 +126,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         load_max=most(np.abs(joint_columns(whole, "tau_sent", len(arm.joints))) / np.array(arm.tau_max_Nm)),
         shift_max_m=largest(whole, "shift", slice(0, 3)),
         shift_max_rad=largest(whole, "shift", slice(3, 6)),
+        friction_factor=_at(column(whole, "friction_factor"), -1),
         **_unexpected(whole),
         hil=hil_results(rows, arm.tau_max_Nm),
         grip=grip_results(whole, run.log.servos.get(arm.name)),

@@ -8,7 +8,7 @@ from typing import Final
 START: Final = "start"  # the cell as the run begins
 _OF_THE_CELL: Final = (
     START, "pose", "errors", "errors_start", "errors_rest", "torques", "wrenches", "lyapunov", "internal_force",
-    "loop_timing", "load_share", "disagreement", "noticed", "pulled", "margins", "bus",
+    "loop_timing", "load_share", "disagreement", "friction", "noticed", "pulled", "margins", "bus",
 )  # fmt: skip
 _OF_AN_ARM: Final = ("torque_terms", "estimates", "servos")
 

@@ -136,6 +136,7 @@ class ArmResults:
     load_max: Ratio  # largest torque sent, of the limit of its joint
     shift_max_m: Annotated[float, Unit("m", Better.NEITHER)]  # of the desired pose
     shift_max_rad: Annotated[float, Unit("rad", Better.NEITHER)]
+    friction_factor: Annotated[float, Unit("", Better.NEITHER)]  # of its file's friction, as it had learned in the end
     unexpected_fast_max_N: Annotated[float, Unit("N")]  # beside the load share, as the arm finds it; NaN if it does not
     unexpected_fast_max_Nm: Torque
     unexpected_slow_max_N: Annotated[float, Unit("N")]
@@ -292,9 +293,4 @@ class Results:
         return out
 
 
-HEADLINE: Final = (
-    "max_position_error_m",
-    "max_attitude_error_rad",
-    "rms_position_error_m",
-    "rms_attitude_error_rad",
-)
+HEADLINE: Final = ("max_position_error_m", "max_attitude_error_rad", "rms_position_error_m", "rms_attitude_error_rad")

@@ -101,19 +101,8 @@ def _completeness(results: Results) -> Line:
 
 def tables(results: Results) -> list[Table]:
     """Every table beyond the one of results, in the page's order; those without a line are left out."""
-    every = [
-        _errors(results),
-        _torques(results),
-        _forces(results),
-        _noticed(results),
-        _in_the_loop(results),
-        _grips(results),
-        _timing(results),
-        _log(results),
-        _states(results),
-        _phases(results),
-    ]
-    return [table for table in every if table.rows]
+    each = (_errors, _torques, _forces, _noticed, _in_the_loop, _grips, _timing, _log, _states, _phases)
+    return [table for table in (make(results) for make in each) if table.rows]
 
 
 def _phases(results: Results) -> Table:
@@ -192,18 +181,26 @@ def _forces(results: Results) -> Table:
 
 
 def _noticed(results: Results) -> Table:
-    header = ("arm", "desired pose shifted by", "unexpected, sudden", "unexpected, staying", "most loaded joint")
+    header = (
+        "arm",
+        "desired pose shifted by",
+        "friction, of its file's",
+        "unexpected, sudden",
+        "unexpected, staying",
+        "most loaded joint",
+    )
     rows = tuple(
         (
             name,
             f"{millimetres(a.shift_max_m)}, {milliradians(a.shift_max_rad)}",
+            number(a.friction_factor),
             f"{number(a.unexpected_fast_max_N, 'N')}, {number(a.unexpected_fast_max_Nm, 'N·m')}",
             f"{number(a.unexpected_slow_max_N, 'N')}, {number(a.unexpected_slow_max_Nm, 'N·m')}",
             f"{number(a.load_max, '%', 100.0)} of its limit",
         )
         for name, a in results.arms.items()
     )
-    return Table("Largest of what each arm noticed and gave, whole run", header, rows)
+    return Table("Largest of what each arm noticed and gave, whole run; friction as learned in the end", header, rows)
 
 
 def _in_the_loop(results: Results) -> Table:

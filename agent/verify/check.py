@@ -22,7 +22,7 @@ from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
 from agent.verify.marks import marks
-from agent.verify.noticing import begun, noticed, rested, unlearnt, unstated
+from agent.verify.noticing import begun, learned, noticed, rested, unlearnt, unstated
 from agent.verify.path import Path, along_trajectory, arm_findings, reach, start_configurations
 from agent.verify.plausible import plausibility
 from agent.verify.rehearsal import examine_rehearsal
@@ -83,7 +83,7 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         paths.append(path)
     of_arms = lives(cell)
     findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell)]
-    findings += [*begun(cell, models, q_start), *rested(cell), *unstated(cell)]
+    findings += [*begun(cell, models, q_start), *rested(cell), *learned(cell), *unstated(cell)]
     findings += session(cell, of_arms)
     findings += buses(cell, q_start, wired=servos if wired is None else wired)
     findings += marks(cell, wired=servos if wired is None else wired)

@@ -19,6 +19,7 @@ import numpy as np
 
 from agent.config import noticing
 from agent.config.cell import Arm, Cell, ConfigError
+from agent.config.coordination import friction_factor
 from agent.config.friction import joint_friction
 from agent.config.schema.arm import Provenance, ServoJoint
 from agent.config.schema.controller import ControllerKind
@@ -84,6 +85,23 @@ def noticed(cell: Cell) -> list[Finding]:
         return [Finding(what, "cell", found, "")]
     pulls = Finding("an arm that holds pulls back", "cell", f"up to {brace.limit_N:g} N where it is carried on", "")
     return [Finding(what, "cell", found, ""), pulls]
+
+
+def learned(cell: Cell) -> list[Finding]:
+    """Between which bounds arms learn their friction, and where none does, why; nothing where none is fed forward."""
+    controller, what = cell.file.controller, "friction that an arm learns"
+    if not controller.friction_feedforward or controller.kind is ControllerKind.ADAPTIVE:
+        return []
+    found: dict[str, list[str]] = {}
+    for arm in cell.arms:
+        learns = friction_factor(cell, arm)
+        told = "none" if learns is None else f"{learns.least:g} to {learns.most:.3g} times its file's"
+        found.setdefault(told, []).append(arm.name)
+    if list(found) == ["none"]:
+        noticing_off = not cell.file.safety.noticing.enabled
+        why = "safety.noticing is off" if noticing_off else "friction_learning_per_s is 0, or the files are exact"
+        return [Finding(what, "cell", f"none: {why}", "")]
+    return [Finding(what, ", ".join(arms), told, "") for told, arms in found.items()]
 
 
 def unstated(cell: Cell) -> list[Finding]:

@@ -108,7 +108,11 @@ TARGETS = (
     Target("agent.control.errors", _LAW),
     Target("agent.control.estimator", (f"{UNIT}/control/test_estimator.py",)),
     Target("agent.control.floating", (f"{UNIT}/control/test_floating.py",)),
-    Target("agent.control.friction", (f"{UNIT}/control/test_friction.py",)),
+    Target(
+        "agent.control.friction",
+        tuple(f"{UNIT}/control/{name}.py" for name in ("test_friction", "test_friction_factor")),
+    ),
+    Target("agent.control.friction_factor", (f"{UNIT}/control/test_friction_factor.py",)),
     Target("agent.control.internal_force", (f"{_PROPERTY}/test_control_internal_force.py",)),
     Target("agent.control.inverse", (f"{_PROPERTY}/test_control_inverse.py",)),
     Target("agent.control.joint_hold", tuple(f"{UNIT}/{name}.py" for name in ("test_singular", "test_hold"))),

@@ -57,6 +57,8 @@ class Controller(Strict):
     """Whether friction of the arm files is compensated."""
     friction_smooth_rad_per_s: Smoothing = 0.05
     """Speed over which the compensation changes its sign."""
+    friction_learning_per_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3
+    """How quickly each arm learns how much of that friction it has, within [tolerance]; known law only; 0: never."""
     velocity: Annotated[VelocitySource, AS_LIST] = VelocitySource.OBSERVER
     """Joint state that the law takes: the servos' own, or the observer's, fused with the commanded acceleration."""
     observer: ObserverGains = ObserverGains.default()

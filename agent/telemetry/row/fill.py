@@ -32,6 +32,7 @@ _NO_WRENCHES: Final = (math.nan,) * 14  # wrench_cmd, wrench_internal, lyapunov,
 _NO_SENSE: Final = (math.nan,) * 10  # unexpected_wrench, unexpected
 SENSE_ARRAYS: Final = 3  # of the field `memory`: of agent.control.residual.Sense
 SENSE_REST: Final = 50
+FACTOR: Final = 1  # number behind those of `braced`
 _WRENCHES: Final = struct.Struct(f"<{SENSE_REST}d")
 
 Row = NDArray[np.void]
@@ -122,12 +123,12 @@ class AgentRow:
         of_sense, behind = self._packed_sense
         self._memory.pack_into(
             message, self._memory_at,
-            *memory.shift, *(outcome.sensed or _NO_SENSE),
+            *memory.shift, memory.friction_factor, *(outcome.sensed or _NO_SENSE),
             memory.q.tobytes(), memory.dq.tobytes(), memory.ddq.tobytes(), memory.ddq_before.tobytes(),
             memory.tau.tobytes(), memory.tau_before.tobytes(),
             _ABSENT if memory.q_hold is None else memory.q_hold.tobytes(), of_sense,
             *(memory.hold or NO_POSE), memory.primed, memory.t, *memory.shift, memory.calm_and_missed, memory.age,
-            behind, *memory.braced,
+            behind, *memory.braced, memory.friction_factor,
         )  # fmt: skip
         if memory.estimate is not None:
             self._theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
@@ -191,8 +192,9 @@ def _packer(first: str, last: str, joint_count: int) -> struct.Struct:
 
 def _code(f: Field, joints: str) -> str:
     if f.name == "memory":
-        sense, own = (8 * SENSE_ARRAYS * MAX_JOINTS, 8 * SENSE_REST), MEMORY_REST - SENSE_REST - BRACED
-        return f"{(MEMORY_ARRAYS - SENSE_ARRAYS) * joints}{sense[0]}s{own}d{sense[1]}s{BRACED}d"
+        sense, last = (8 * SENSE_ARRAYS * MAX_JOINTS, 8 * SENSE_REST), BRACED + FACTOR
+        own = MEMORY_REST - SENSE_REST - last
+        return f"{(MEMORY_ARRAYS - SENSE_ARRAYS) * joints}{sense[0]}s{own}d{sense[1]}s{last}d"
     return joints if _is_of_joints(f) else f"{max(f.length, 1)}{f.struct_code}"
 
 

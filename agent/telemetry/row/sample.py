@@ -17,7 +17,7 @@ MAX_JOINTS: Final = 7  # arms with fewer joints leave the rest at zero
 MAX_ARMS: Final = 8
 ARM_PARAMETERS: Final = MAX_JOINTS * 16  # per joint: 10 inertial, rotor inertia, 5 of friction
 OBJECT_PARAMETERS: Final = 10
-MEMORY_ARRAYS, MEMORY_REST = 10, 72  # of agent.control.memory.Memory: joint arrays, and what stands behind them
+MEMORY_ARRAYS, MEMORY_REST = 10, 73  # of agent.control.memory.Memory: joint arrays, and what stands behind them
 MEMORY_LENGTH: Final = MEMORY_ARRAYS * MAX_JOINTS + MEMORY_REST
 
 BUS_COUNTERS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")  # since the bus was opened
@@ -102,6 +102,7 @@ AGENT_FIELDS: Final[tuple[Field, ...]] = (
     _f("lyapunov", 0, "J", "the part of the Lyapunov function this agent can compute"),
     _f("sigma_min", 0, "", "lower bound of the smallest singular value of the object Jacobian"),
     _f("shift", 6, "m, rad", "of the desired pose, by which this arm has found together with the others"),
+    _f("friction_factor", 0, "", "times the friction of its file, which the feed-forward takes this arm to have"),
     _f("unexpected_wrench", 6, "N, N·m", "on this arm beside its load share, at the object, world axes"),
     _f("unexpected", 4, "N, N·m, N, N·m", "sizes of its fast part (force, moment) and of its slow part"),
     _f("memory", MEMORY_LENGTH, "", "what the agent carried into this tick (agent.control.memory)"),

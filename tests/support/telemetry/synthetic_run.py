@@ -77,7 +77,7 @@ def agent_rows(ticks: int, rate_hz: float = 200.0, joints: int = 3, *, first: in
     rows["mode"] = Mode.TRACK
     rows["joint_count"] = joints
     rows["quat_object_des"][:, 0] = rows["quat_object"][:, 0] = rows["e_eta"] = 1.0
-    rows["sigma_min"] = 0.05
+    rows["sigma_min"], rows["friction_factor"] = 0.05, 1.0
     return rows
 
 

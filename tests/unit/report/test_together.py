@@ -26,7 +26,7 @@ from agent.report.labels import LINE_IN, end_labels, mark_moments, room_in
 from agent.report.metrics import summarise
 from agent.report.plotting import DASHES, PANEL_IN, line, panels, time_axis
 from agent.report.prepared import prepare
-from agent.report.tables import lines
+from agent.report.tables import lines, tables
 from agent.report.together import Thresholds, thresholds
 from agent.telemetry.row.event import Event, Level
 from tests.support.telemetry.synthetic_run import paper_run
@@ -99,6 +99,22 @@ def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit
     assert len(figures_together.disagreement(prepare(view_log())).axes) == 1
     right = summarise(log).arms["right"]
     assert (right.shift_max_m, right.shift_max_rad) == (pytest.approx(3e-3), 0.0)
+
+
+def test_what_an_arm_learns_of_its_friction_is_drawn_and_told() -> None:
+    log = view_log()
+    assert "friction" not in stems(log), "nobody has learned"
+    before = summarise(log).arms
+    log.agents["right"]["friction_factor"] = np.linspace(1.0, 1.31, 400)
+    assert "friction" in stems(log)
+    (ax,) = figures_together.friction(prepare(log)).axes
+    assert labelled(ax)["left"] == pytest.approx(np.ones(400))
+    assert labelled(ax)["right"] == pytest.approx(np.linspace(1.0, 1.31, 400))
+    results = summarise(log)
+    assert [results.arms[name].friction_factor for name in ("left", "right")] == [1.0, pytest.approx(1.31)]
+    assert before["right"].friction_factor == 1.0
+    (noticed,) = (table for table in tables(results) if table.title.startswith("Largest of what each arm noticed"))
+    assert [row[noticed.header.index("friction, of its file's")] for row in noticed.rows] == ["1.00", "1.31"]
 
 
 def test_what_the_shifts_leave_of_a_disagreement_is_said_beside_it() -> None:

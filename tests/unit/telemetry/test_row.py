@@ -75,7 +75,7 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     sense = Sense(array_of(n), array_of(n), array_of(n), *wrenches, next(numbers), pull, plain, struck, borne)
     memory = Memory(
         *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19,
-        braced,
+        braced, next(numbers),
     )  # fmt: skip
     state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))
     flags = Flag.SATURATED | Flag.STALE
@@ -109,7 +109,7 @@ def check(
         "quat_object": k.quat_object, "v_object": k.v_object, "e_p": e.e_p, "e_eta": e.e_eta, "e_eps": e.e_eps,
         "e_v": e.e_v, "v_object_ref": e.v_ref, "dv_object_ref": e.dv_ref, "lyapunov": terms.lyapunov,
         "sigma_min": terms.sigma_min, "tau_limited": outcome.tau, "tau_sent": outcome.tau + 0.5,
-        "shift": memory.shift,
+        "shift": memory.shift, "friction_factor": memory.friction_factor,
         "unexpected_wrench": (np.nan,) * 6 if outcome.sensed is None else outcome.sensed[:6],
         "unexpected": (np.nan,) * 4 if outcome.sensed is None else outcome.sensed[6:],
         "memory": memory.flatten(), "late_s": 0.1, "read_s": 0.2, "step_s": 0.3, "write_s": 0.4,

@@ -1,0 +1,214 @@
+"""What an arm learns of its own friction: from which power, how far, in which modes, and what it is for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config.cell import load_cell
+from agent.config.coordination import friction_factor
+from agent.config.schema.reality import ArmReality, Reality
+from agent.control.friction import Friction, JointFriction
+from agent.control.friction_factor import FrictionFactor
+from agent.control.memory import restore
+from agent.loop import initial_memory, step
+from agent.modes import Mode
+from agent.study.lab import Laboratory, Run
+from agent.study.measure import measure
+from agent.verify.noticing import learned as told_of
+from drivers.interface import JointState
+from tests.unit.test_step_rules import arm, start
+
+T = 5e-3
+LAW = FrictionFactor(0.2, 0.6, 1.5, 0.04)
+DQ = np.array([0.2, -0.1])
+BY_FILE = np.array([0.1, -0.1])  # N·m that the friction takes at DQ by the file: 0.03 W
+TAKEN_W = 0.03
+
+
+def after(factor: float, truth: float, law: FrictionFactor = LAW) -> float:
+    """The factor a tick later of an arm that has so many times the file's friction, at DQ."""
+    return law.advance(factor, (factor - truth) * BY_FILE, factor * BY_FILE, DQ, T)
+
+
+# --- from which power, and how far -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("factor", "truth"), [(1.0, 1.3), (1.0, 0.7), (1.2, 0.9), (0.8, 1.1)])
+def test_it_goes_towards_the_friction_that_is_felt_and_back_to_the_file_by_a_tenth_of_that(
+    factor: float, truth: float
+) -> None:
+    s = (truth - factor - 0.1 * (factor - 1.0)) * TAKEN_W / (0.04 + TAKEN_W)
+    assert after(factor, truth) == pytest.approx(factor + 0.2 * T * s, rel=1e-12)
+
+
+def test_it_comes_to_rest_at_ten_elevenths_of_what_the_file_is_off_by() -> None:
+    assert after(1.4, 1.44) == pytest.approx(1.4, abs=1e-12)
+    assert after(0.8, 0.78) == pytest.approx(0.8, abs=1e-12)
+
+
+def test_an_arm_at_rest_learns_nothing_and_neither_does_one_that_is_pulled_at_right_angles() -> None:
+    still, tau = np.zeros(2), np.array([0.3, 0.6])
+    assert LAW.advance(1.2, tau, tau, still, T) == 1.2
+    assert LAW.advance(1.0, tau, BY_FILE, DQ, T) == 1.0, "(0.3, 0.6) · (0.2, −0.1) is no power"
+
+
+def test_a_feed_forward_against_the_motion_takes_power_all_the_same() -> None:
+    """A reference that has turned round before the joint: the file is believed neither more nor less for it."""
+    nothing = np.zeros(2)
+    assert LAW.advance(1.2, nothing, -1.2 * BY_FILE, DQ, T) == LAW.advance(1.2, nothing, 1.2 * BY_FILE, DQ, T) < 1.2
+
+
+def test_no_surprise_teaches_more_than_a_tenth_in_a_second_and_none_leads_out_of_the_bounds() -> None:
+    much = 100.0 * BY_FILE
+    assert LAW.advance(1.0, -much, BY_FILE, DQ, 1.0) == pytest.approx(1.1)
+    assert LAW.advance(1.0, much, BY_FILE, DQ, 1.0) == pytest.approx(0.9)
+    assert LAW.advance(1.499, -much, BY_FILE, DQ, 1.0) == 1.5
+    assert LAW.advance(0.601, much, BY_FILE, DQ, 1.0) == 0.6
+
+
+def test_what_is_no_number_teaches_nothing() -> None:
+    assert LAW.advance(1.2, np.full(2, math.nan), BY_FILE, DQ, T) == 1.2
+
+
+def test_its_usual_power_is_that_of_all_joints_at_a_tenth_of_a_radian_per_second() -> None:
+    friction = Friction((JointFriction(0.2, 5.0), JointFriction(0.1, 5.0, breakaway_Nm=0.05)), 0.05)
+    assert FrictionFactor.of(friction, 0.3, 0.5, 2.0) == FrictionFactor(0.3, 0.5, 2.0, pytest.approx(0.035))
+
+
+# --- who learns ------------------------------------------------------------------------------------------------------
+
+
+def learned(name: str, *changes: str) -> tuple[float, float, float] | None:
+    cell = load_cell(Path(name), list(changes))
+    found = friction_factor(cell, cell.arms[0])
+    return found and (found.per_s, found.least, found.most)
+
+
+def test_an_arm_learns_within_what_the_cell_states_of_its_friction() -> None:
+    assert learned("two_wx200") == (0.3, 0.6, 1.5)
+    assert learned("two_wx200", "tolerance.friction=[0.0, 2.0]", "tolerance.breakaway=0.5") == (0.3, 0.1, 3.0)
+    assert learned("two_wx200", "controller.friction_learning_per_s=0.05") == (0.05, 0.6, 1.5)
+    one_sided = ("tolerance.friction=[1.0, 1.5]", "tolerance.friction=[0.6, 1.0]")
+    assert [learned("two_wx200", change) for change in one_sided] == [(0.3, 1.0, 1.5), (0.3, 0.6, 1.0)]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "controller.friction_learning_per_s=0.0",
+        "controller.friction_feedforward=false",
+        'controller.kind="adaptive"',
+        "safety.noticing.enabled=false",
+        "tolerance.friction=[1.0, 1.0]",
+    ],
+)
+def test_an_arm_that_feeds_nothing_forward_feels_nothing_or_knows_all_learns_nothing(change: str) -> None:
+    assert learned("two_wx200", change) is None
+
+
+def said(name: str, *changes: str) -> list[tuple[str, str]]:
+    return [(f.where, f.found) for f in told_of(load_cell(Path(name), list(changes)))]
+
+
+def test_check_says_who_learns_and_how_far_and_why_nobody_does() -> None:
+    assert said("two_wx200") == [("left, right", "0.6 to 1.5 times its file's")]
+    assert (
+        said("paper")
+        == said("two_wx200", "safety.noticing.enabled=false")
+        == [("cell", "none: safety.noticing is off")]
+    )
+    exact = [("cell", "none: friction_learning_per_s is 0, or the files are exact")]
+    assert said("two_wx200", "controller.friction_learning_per_s=0.0") == exact
+    assert said("two_wx200", "tolerance.friction=[1.0, 1.0]") == exact
+    assert said("two_wx200", "controller.friction_feedforward=false") == said("paper_adaptive") == []
+
+
+def test_it_is_learned_while_the_arm_follows_alone_kept_in_every_mode_and_fed_forward() -> None:
+    lab = Laboratory(load_cell(Path("two_wx200"), ["simulation.ready_s=0.5"]))
+    run = Run(lab, Reality(arms={a.name: ArmReality(friction=1.4) for a in lab.cell.arms}))
+    while run.t < 4.0:
+        run.advance()
+    place = run.places[0]
+    assert place.agent.offline.friction is not None
+    assert place.memory.friction_factor > 1.02
+    q, dq, tau = (values[place.joints] for values in run.plant.reported())
+    state, kept = JointState(0, q, dq, tau), place.memory
+    for mode in (Mode.TRACK, Mode.HOLD, Mode.READY):
+        found = step(place.agent, state, run.t, mode, kept).memory.friction_factor
+        assert (found == kept.friction_factor) == (mode is not Mode.TRACK)
+    deaf = step(replace(place.agent, residual=None), state, run.t, Mode.TRACK, kept)
+    assert deaf.memory.friction_factor == kept.friction_factor
+    for mode in (Mode.TRACK, Mode.HOLD):
+        once, twice = (
+            step(place.agent, state, run.t, mode, kept._replace(friction_factor=k)).terms for k in (1.0, 2.0)
+        )
+        assert once is not None
+        assert twice is not None
+        viscous = np.array([j.viscous_Nm_s_per_rad for j in place.agent.offline.friction.joints]) * once.dq_ref
+        more = twice.tau_friction - once.tau_friction
+        assert np.abs(more).max() > 0.01
+        assert more.tolist() == pytest.approx((once.tau_friction - viscous).tolist(), rel=1e-9)
+        assert twice.tau_cmd.tolist() == pytest.approx((once.tau_cmd + more).tolist(), rel=1e-12)
+
+
+def test_joints_that_stick_are_fed_so_many_times_what_they_take_and_viscous_friction_is_the_files() -> None:
+    dq, tau = np.array([0.2, -0.3]), np.array([1.0, -0.5])
+    dry = (JointFriction(0.1, 0.0, 0.05, load=0.1), JointFriction(0.2, 0.0))
+    friction = Friction(dry, 0.05)
+    assert friction.torque(dq, dq, tau, 1.3).tolist() == pytest.approx((1.3 * friction.torque(dq, dq, tau)).tolist())
+    glides = Friction((JointFriction(0.1, 0.0), JointFriction(0.2, 0.0)), 0.05)
+    assert glides.gliding([0.2, -0.3], 1.3) == pytest.approx([1.3 * x for x in glides.gliding([0.2, -0.3])])
+    assert glides.torque(dq, dq, tau, 1.3).tolist() == pytest.approx(glides.gliding([0.2, -0.3], 1.3))
+    oiled = Friction((JointFriction(0.0, 0.4), JointFriction(0.0, 0.5)), 0.05)
+    assert oiled.gliding([0.2, -0.3], 1.3) == pytest.approx([0.08, -0.15])
+    sticky = Friction((JointFriction(0.0, 0.4, load=1e-9), JointFriction(0.0, 0.5)), 0.05)
+    assert sticky.torque(dq, dq, tau, 1.3).tolist() == pytest.approx([0.08, -0.15], abs=1e-6)
+
+
+def test_it_goes_through_a_row_and_a_row_that_is_older_has_none() -> None:
+    memory = initial_memory(arm())._replace(q=start(), friction_factor=1.25)
+    flat = np.array(memory.flatten())
+    assert flat[-1] == 1.25
+    assert restore(flat, 3).friction_factor == 1.25
+    assert restore(flat[:-1], 3).friction_factor == 1.0
+
+
+# --- what it is for --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lab() -> Laboratory:
+    return Laboratory(load_cell(Path("two_wx200"), ["simulation.ready_s=1.0", "duration_s=26.0"]))
+
+
+def rubbing(lab: Laboratory, times: float) -> Reality:
+    return Reality(arms={a.name: ArmReality(friction=times) for a in lab.cell.arms})
+
+
+def test_arms_whose_friction_is_off_find_it_and_keep_the_object_where_it_should_be(lab: Laboratory) -> None:
+    without = Laboratory(load_cell(Path("two_wx200"), ["duration_s=26.0", "controller.friction_learning_per_s=0.0"]))
+    reality = rubbing(lab, 1.5)
+    learning, as_filed = (measure(which, reality).position_beyond_anchor_m for which in (lab, without))
+    assert as_filed > 1e-3
+    assert learning < 0.5 * as_filed
+
+
+@pytest.mark.parametrize(
+    ("times", "low", "high"),
+    [
+        (1.0, 0.98, 1.05),
+        (1.4, 1.2, 1.4),
+        pytest.param(0.7, 0.75, 0.96, marks=pytest.mark.long),  # too much of it is hardly felt
+    ],
+)
+def test_what_they_find_is_their_friction(lab: Laboratory, times: float, low: float, high: float) -> None:
+    run = Run(lab, rubbing(lab, times))
+    while run.t < 16.0:
+        run.advance()
+    found = [place.memory.friction_factor for place in run.places]
+    assert all(low < factor < high for factor in found), found
