@@ -14,6 +14,7 @@ BELIEF is what leads back to the file.  Viscous friction stays the file's: with 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -45,6 +46,7 @@ class FrictionFactor:
         taken_W = abs(float(tau_friction.dot(dq))) / factor
         felt_W = -float(residual.dot(dq)) - BELIEF * (factor - 1.0) * taken_W
         share = felt_W / (self.usual_W + taken_W)
-        if not -SURPRISE <= share <= SURPRISE:
-            share = SURPRISE if share > 0.0 else -SURPRISE if share < 0.0 else 0.0  # no number teaches nothing
+        if math.isnan(share):
+            return factor
+        share = min(max(share, -SURPRISE), SURPRISE)
         return min(max(factor + dt * self.per_s * share, self.least), self.most)
