@@ -156,7 +156,7 @@ def random_memory(seed: int, n: int, hold: bool) -> Memory:
     calm, missed = 102 - 100 * seed, 20 * seed
     braced = Braced(*rng.normal(size=5).tolist())
     more = {"sense": sense, "shift": shift, "calm": calm, "missed": missed, "hold": pose, "braced": braced}
-    return Memory(*rng.normal(size=(6, n)), primed=bool(seed % 2), **more)
+    return Memory(*rng.normal(size=(6, n)), primed=bool(seed % 2), friction_factor=float(rng.normal()), **more)
 
 
 @pytest.mark.parametrize("hold", [False, True])
@@ -175,15 +175,17 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
         (*found.sense[:-4], *found.sense.plain), (*memory.sense[:-4], *memory.sense.plain), strict=True
     ):
         assert np.array_equal(one, two)
-    older = restore(np.delete(flat, [-7, -6]), n)
+    flat_of_old = flat[:-1]  # older than the factor of friction
+    assert restore(flat_of_old, n).friction_factor == 1.0
+    older = restore(np.delete(flat_of_old, [-7, -6]), n)
     assert older.sense.borne == memory.sense.borne._replace(usual_stuck_N=0.0, stuck_N=0.0), "older than stuck joints"
     assert older.braced == memory.braced
-    older = restore(flat[:-14], n).sense
+    older = restore(flat_of_old[:-14], n).sense
     assert (older.plain.force_N, older.struck) == (memory.sense.plain.force_N, NOT_STRUCK), "older than a blow"
-    older = restore(flat[:-22], n).sense
+    older = restore(flat_of_old[:-22], n).sense
     assert (older.pull, older.plain.force_N) == (memory.sense.pull, 0.0), "a row that is older than what is plain"
     assert older.plain.momentum.tolist() == [0.0] * n
-    for name in ("primed", "hold", "shift", "calm", "missed", "braced"):
+    for name in ("primed", "hold", "shift", "calm", "missed", "braced", "friction_factor"):
         assert getattr(found, name) == getattr(memory, name)
     assert np.array_equal(restore(np.array(found.flatten()), n).flatten(), flat)
 
