@@ -195,7 +195,7 @@ def test_one_number_of_every_log_says_how_a_hold_is_kept_and_what_it_missed() ->
     assert memory.calm_and_missed == 102 + 20 * 1024
     assert memory.flatten()[85] == memory.calm_and_missed
     begun = initial(3)
-    assert (begun.t, begun.age, begun.calm, begun.missed) == (0.0, 0.0, 0, 0)
+    assert (begun.t, begun.age, begun.calm, begun.missed, begun.friction_factor) == (0.0, 0.0, 0, 0, 1.0)
 
 
 def test_memory_and_log_agree_on_the_room_per_joint_array() -> None:
