@@ -51,6 +51,11 @@ class Laboratory:
         self.stall_Nm = np.concatenate([arm.tau_stall_Nm for arm in cell.arms])
 
 
+def faults_of(cell: Cell, faults: Sequence[Fault]) -> tuple[Fault, ...]:
+    """What befalls the arms in every run of the cell, each fault once: the cell's own, and `faults` of a study."""
+    return tuple(dict.fromkeys((*cell.file.simulation.fault, *faults)))
+
+
 @dataclass(frozen=True)
 class Trip:
     """An arm that gave up following the trajectory, by itself."""
@@ -143,6 +148,7 @@ class Run:
         self.ready_ticks = round(file.simulation.ready_s * file.rate_hz)
         self.tick = 0
         self.trips: list[Trip] = []
+        self.faults = faults_of(lab.cell, faults)
         self.peak_Nm = np.zeros(self.plant.joint_count)  # largest torque sent so far
         spec, self._substeps = self.plant.spec, file.simulation.substeps_per_cycle
         self.places = []
@@ -156,7 +162,7 @@ class Run:
         self._parts = stretches([p.line for p in self.places], self._substeps)
         self._support = max(p.line.first_substep for p in self.places)
         self._tau = np.zeros(self.plant.joint_count)
-        self._due = sorted((*file.simulation.fault, *faults), key=lambda fault: -fault.at_s)
+        self._due = sorted(self.faults, key=lambda fault: -fault.at_s)
 
     @property
     def t(self) -> float:

@@ -55,6 +55,7 @@ class RunResult:
     within_bounds: bool
     settled: bool  # seen after the transient, before a loss or a trip
     tracked_s: float  # how long all arms followed: until the end, the loss, the first trip or the first fault
+    first_fault_s: float | None  # when the first fault was to come, the cell's own or the study's; None: none was
     tripped_s: float | None  # when the first arm gave up; negative before the start
     lost_s: float | None  # when the object was lost
     position_error_m: float  # largest, of the true object
@@ -80,7 +81,7 @@ def measure(
 ) -> RunResult:
     """Run the cell in this reality (None: as its file says) and measure.  Raises Refusal.
 
-    Trips of the arms' monitors count as those of noticing do.
+    Trips of the arms' monitors count as those of noticing do, and the cell's own faults as `faults` of a study do.
     """
     run, seen = Run(lab, reality, faults), _Seen(lab)
     file = lab.cell.file
@@ -99,7 +100,7 @@ def measure(
             break
         if truth is not None:
             lost = seen.note(t, truth.p_object, truth.quat_object, truth.grasp_wrench, run)
-    return seen.result(run, index, seed, (t, lost) if lost else None, faults)
+    return seen.result(run, index, seed, (t, lost) if lost else None)
 
 
 class _Seen:
@@ -132,13 +133,13 @@ class _Seen:
         """The motion is timed by the anchor's clock: nobody can tell when the others should have been anywhere."""
         return run.plant.spec.arms[self._anchor].skew_s
 
-    def result(
-        self, run: Run, index: int, seed: int, lost: tuple[float, str] | None, faults: Sequence[Fault]
-    ) -> RunResult:
+    def result(self, run: Run, index: int, seed: int, lost: tuple[float, str] | None) -> RunResult:
         """The figures of the whole run; lost: when and why it ended early."""
         lab, file = self._lab, self._lab.cell.file
         trip = run.trips[0] if run.trips else None
-        until_s = min(run.t, trip.t if trip is not None else math.inf)
+        tripped_s = None if trip is None else trip.t
+        first_fault_s = min((fault.at_s for fault in run.faults), default=None)
+        until_s = min(run.t, math.inf if tripped_s is None else tripped_s)
         seen = np.array(self._errors).reshape(-1, 5)
         counted = (seen[:, 0] >= file.report.transient_s) & (seen[:, 0] <= until_s)
         settled = bool(counted.any())
@@ -162,15 +163,16 @@ class _Seen:
             seed=seed,
             lost=lost is not None,
             tripped=trip is not None,
-            within_bounds=kept and lost is None and not gave_up(None if trip is None else trip.t, faults),
+            within_bounds=kept and lost is None and not gave_up(tripped_s, first_fault_s),
             settled=settled,
-            tracked_s=max(0.0, min([until_s, *(fault.at_s for fault in faults)])),
-            tripped_s=None if trip is None else trip.t,
+            tracked_s=max(0.0, min(until_s, math.inf if first_fault_s is None else first_fault_s)),
+            first_fault_s=first_fault_s,
+            tripped_s=tripped_s,
             lost_s=None if lost is None else lost[0],
             position_error_m=max(largest_or_zero(off_m), least_m),
             attitude_error_rad=max(largest_or_zero(off_rad), least_rad),
             internal_force_max_N=largest_or_zero(force),
-            reaction_s=_reaction_s(run, faults),
+            reaction_s=_reaction_s(run, first_fault_s),
             tripped_by="" if trip is None else trip.by,
             why=lost[1] if lost is not None else "" if trip is None else trip.told,
             **bounded,
@@ -184,14 +186,14 @@ class _Seen:
         return largest_force(np.linalg.norm(internal[:, :, :3], axis=2))
 
 
-def gave_up(tripped_s: float | None, faults: Sequence[Fault]) -> bool:
-    """Whether an arm tripped with no fault to trip for; tripped_s: when the first did."""
-    return tripped_s is not None and tripped_s < min((fault.at_s for fault in faults), default=math.inf)
+def gave_up(tripped_s: float | None, first_fault_s: float | None) -> bool:
+    """Whether an arm tripped with no fault to trip for; when the first arm did, and when the first fault came, s."""
+    return tripped_s is not None and (first_fault_s is None or tripped_s < first_fault_s)
 
 
-def _reaction_s(run: Run, faults: Sequence[Fault]) -> float | None:
+def _reaction_s(run: Run, first_s: float | None) -> float | None:
     """From the first fault to the first trip of an arm that has none."""
-    if not faults:
+    if first_s is None:
         return None
-    first, struck = min(fault.at_s for fault in faults), {fault.arm for fault in faults}
-    return next((trip.t - first for trip in run.trips if trip.arm not in struck and trip.t >= first), None)
+    struck = {fault.arm for fault in run.faults}
+    return next((trip.t - first_s for trip in run.trips if trip.arm not in struck and trip.t >= first_s), None)

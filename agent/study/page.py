@@ -34,7 +34,7 @@ def render(
     parts: Sequence[tuple[Cell, Sequence[RunResult], dict[str, Any], Sequence[Influence]]],
     faults: Sequence[Fault],
 ) -> str:
-    """The whole page; one part for each cell: its runs, their summary, and what matters.  faults: of every run."""
+    """The whole page; one part for each cell: its runs, their summary, and what matters.  faults: the study's."""
     body = [f"<h1>{escape(title)}</h1>"]
     for cell, results, found, influences in parts:
         body += [

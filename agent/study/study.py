@@ -19,6 +19,7 @@ from agent.config.cell import Cell
 from agent.config.reading import parse
 from agent.config.reality import draw
 from agent.config.schema.fault import Fault
+from agent.study.lab import faults_of
 from agent.study.measure import RunResult
 from agent.study.page import render
 from agent.study.plan import Plan, Task
@@ -92,14 +93,14 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
     parts = [
         (cell, some, found | judged(cell, found), influences(cell, some))
         for cell, some in zip(plan.cells, results, strict=True)
-        if some and (found := summary(some, plan.faults))
+        if some and (found := summary(some))
     ]
     document = {
         "schema": SCHEMA,
         "versions": plan.identity()["versions"],
         "seed": plan.seed,
         "wanted": plan.runs * len(plan.cells),
-        **summary(together, plan.faults),
+        **summary(together),
         "holds": bool(parts) and all(found["holds"] for _, _, found, _ in parts),
         "cells": {
             cell.file.name: {
@@ -107,7 +108,7 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
                 "duration_s": cell.file.duration_s,
                 **found,
                 "influences": [asdict(i) for i in ranked],
-                "worst": worst(some, plan.faults).index,
+                "worst": worst(some).index,
             }
             for cell, some, found, ranked in parts
         },
@@ -120,7 +121,7 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
             write_atomically(out / PARQUET, _parquet(rows))
         names = ", ".join(cell.file.name for cell, *_ in parts)
         write_atomically(out / PAGE, render(f"Study of {names}", parts, plan.faults).encode())
-        bad = worst(together, plan.faults)
+        bad = worst(together)
         at = next(i for i, some in enumerate(results) if any(r is bad for r in some))
         write_atomically(out / WORST, worst_cell(plan.cells[at], bad, plan.faults))
     return document
@@ -156,12 +157,12 @@ def _parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
 def worst_cell(cell: Cell, result: RunResult, faults: Sequence[Fault] = ()) -> bytes:
     """A cell file that repeats one run of a study: the cell with that run's reality, value by value.
 
-    The study's faults befall its arms as well.
+    faults: the study's, which befall its arms beside the cell's own.
     """
     document = parse(cell.toml, Path(f"{cell.file.name}.toml"))
     real, simulation = draw(cell.file.tolerance, result.seed, cell), document.setdefault("simulation", {})
     simulation["reality"] = real.model_dump(mode="json", exclude_none=True)
-    if faults:
-        simulation["fault"] = [*simulation.get("fault", []), *(fault.model_dump(mode="json") for fault in faults)]
+    if every := faults_of(cell, faults):
+        simulation["fault"] = [fault.model_dump(mode="json") for fault in every]
     head = f"# Run {result.index} of a study: the reality of seed {result.seed}. {result.why}\n"
     return head.encode() + tomli_w.dumps(document).encode()

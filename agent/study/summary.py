@@ -15,10 +15,12 @@ from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.fault import Fault
 from agent.config.schema.reality import STIFFNESSES, Reality
+from agent.study.lab import faults_of
 from agent.study.measure import RunResult, bounds_of, gave_up
 from drivers.interface import Vector
 
 QUANTILES: Final = (50, 95, 100)  # %
+REACTION: Final = "reaction_s"  # of runs with a fault alone
 FIGURES: Final = (
     "position_error_m",
     "attitude_error_rad",
@@ -27,7 +29,7 @@ FIGURES: Final = (
     "internal_force_mean_N",
     "internal_force_max_N",
     "peak_torque_fraction",
-    "reaction_s",
+    REACTION,
 )
 PROMISED: Final = "95"  # % of the runs in which a cell's figures are to be within bounds
 ENOUGH_RUNS: Final = 59  # of fewer, all may be within bounds by chance (1 in 20) where 5 % of all realities are not
@@ -43,11 +45,13 @@ class Influence:
     correlation: float
 
 
-def summary(results: Sequence[RunResult], faults: Sequence[Fault] = ()) -> dict[str, Any]:
+def summary(results: Sequence[RunResult]) -> dict[str, Any]:
     """Counts, and quantiles of each figure over all runs, lost ones as `counted` has them.
 
-    faults: of every run.  One that no other arm notices counts as noticed later than any.
+    What the others make of a fault is of the runs that have one; a fault that no other arm notices counts as noticed
+    later than any.
     """
+    struck = [r for r in results if r.first_fault_s is not None]
     found = {
         "runs": len(results),
         "lost": sum(r.lost for r in results),
@@ -55,10 +59,10 @@ def summary(results: Sequence[RunResult], faults: Sequence[Fault] = ()) -> dict[
         "tripped_by": dict(Counter(sorted(r.tripped_by for r in results if r.tripped))),
         "within_bounds": sum(r.within_bounds for r in results),
         "unsettled": sum(not r.settled for r in results),
-    } | {figure: _quantiles(counted(results, figure)) for figure in FIGURES}
-    if faults:
-        found["unnoticed"] = sum(r.reaction_s is None for r in results)
-        found["tripped_before_fault"] = sum(gave_up(r.tripped_s, faults) for r in results)
+    } | {figure: _quantiles(counted(struck if figure == REACTION else results, figure)) for figure in FIGURES}
+    if struck:
+        found["unnoticed"] = sum(r.reaction_s is None for r in struck)
+        found["tripped_before_fault"] = sum(gave_up(r.tripped_s, r.first_fault_s) for r in struck)
     return found
 
 
@@ -69,7 +73,7 @@ def counted(results: Sequence[RunResult], figure: str) -> list[float | None]:
     the object.
     """
     values = [getattr(r, figure) for r in results]
-    if figure == "reaction_s" or not any(r.lost for r in results):
+    if figure == REACTION or not any(r.lost for r in results):
         return values
     largest = max((value for value in values if math.isfinite(value)), default=0.0)
     return [largest if r.lost else value for r, value in zip(results, values, strict=True)]
@@ -110,14 +114,17 @@ def verdict(found: Mapping[str, Any]) -> str:
 
 
 def counting(cell: Cell, found: Mapping[str, Any], faults: Sequence[Fault]) -> str:
-    """From when to when errors and forces of the cell's runs count, in words; found: the summary of the runs."""
+    """From when to when errors and forces of the cell's runs count, in words; found: the summary of the runs.
+
+    faults: the study's, beside the cell's own.
+    """
     words = f"Errors and forces count from {cell.file.report.transient_s:g} s on, until the first arm trips."
     if found["unsettled"]:
         words += (
             f" Lost or tripped too early for that, and counted from the start with its error: {found['unsettled']}."
         )
-    if faults:
-        words += f" In every run: {', '.join(fault.told for fault in faults)}; they count on after it."
+    if every := faults_of(cell, faults):
+        words += f" In every run: {', '.join(fault.told for fault in every)}; they count on after it."
     return words
 
 
@@ -208,20 +215,20 @@ def _ranks(x: Vector) -> Vector:
     return ranks
 
 
-def worst(results: Sequence[RunResult], faults: Sequence[Fault] = ()) -> RunResult:
+def worst(results: Sequence[RunResult]) -> RunResult:
     """The run to look at first: lost soonest, else tripped soonest, else with the largest internal force.
 
     With faults, for which the others are to trip: lost soonest, else tripped soonest before the first of them, else
-    noticed by nobody, with the largest internal force, else noticed latest.
+    noticed by nobody, with the largest internal force, else noticed latest; runs without a fault come behind those.
     """
 
     def badness(result: RunResult) -> tuple[int, float, int]:
         if result.lost_s is not None:
             return 0, result.lost_s, result.index
-        if result.tripped_s is not None and gave_up(result.tripped_s, faults):
+        if result.tripped_s is not None and gave_up(result.tripped_s, result.first_fault_s):
             return 1, result.tripped_s, result.index
         if result.reaction_s is not None:
             return 3, -result.reaction_s, result.index
-        return 2, -result.internal_force_mean_N, result.index
+        return 4 if result.first_fault_s is None else 2, -result.internal_force_mean_N, result.index
 
     return min(results, key=badness)

@@ -285,6 +285,19 @@ def test_reaction_is_from_the_fault_to_the_first_other_arm_that_trips() -> None:
     assert measure(lab, None).reaction_s is None
 
 
+def test_a_fault_of_the_cell_counts_as_one_of_the_study_and_stated_by_both_it_is_one() -> None:
+    tight = (*FAULTY, "safety.tracking_error_max_m=0.01", "safety.tracking_error_max_rad=0.1")
+    limp = Fault(kind=FaultKind.LIMP, arm="right", at_s=0.5)
+    own = Laboratory(cell(*tight, "simulation.fault=[{kind='limp', arm='right', at_s=0.5}]"))
+    found = measure(own, None)
+    assert (found.first_fault_s, found.tracked_s) == (0.5, 0.5)
+    assert found.reaction_s is not None
+    assert found == measure(Laboratory(cell(*tight)), None, faults=[limp]) == measure(own, None, faults=[limp])
+    sooner = Fault(kind=FaultKind.OPEN, arm="left", at_s=0.3)
+    assert Run(own, None, [sooner]).faults == (limp, sooner)
+    assert Run(own, None, [limp]).faults == Run(own, None).faults == (limp,)
+
+
 def test_a_reality_beyond_reach_is_refused(lab: Laboratory) -> None:
     far = {"left": ArmReality.model_construct(base_m=(9.0, 0.0, 0.0))}
     with pytest.raises(Refusal, match="is not on its grasp"):

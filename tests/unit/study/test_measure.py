@@ -55,6 +55,7 @@ class Scripted:
         self.plant = SimpleNamespace(spec=SimpleNamespace(arms=[anchor, anchor]))
         self.places = [SimpleNamespace(sees=lambda: None), SimpleNamespace(sees=lambda: None)]
         self._skew_s = skew_s
+        self.faults: Sequence[Fault] = ()
         self.blind = False  # whether the anchor sees nothing
 
     @property
@@ -105,7 +106,12 @@ def result(
     skew_s: float = 0.0,
 ) -> tuple[RunResult, Scripted]:
     run = Scripted(off, trips, ends_s, skew_s)
-    monkeypatch.setattr(module, "Run", lambda *_: run)
+
+    def begun(_lab: object, _reality: object, given: Sequence[Fault]) -> Scripted:
+        run.faults = given
+        return run
+
+    monkeypatch.setattr(module, "Run", begun)
     lab: Any = SimpleNamespace(cell=cell(), stall_Nm=STALL_NM)
     return measure(lab, None, 4, 9, faults), run
 
@@ -131,6 +137,7 @@ def test_figures_are_the_largest_and_beyond_what_the_anchor_sees_wrongly(monkeyp
     assert found.internal_force_mean_N == pytest.approx(0.4)
     assert found.peak_torque_fraction == pytest.approx(0.4)
     assert (found.reaction_s, found.tripped_by, found.why) == (None, "", "")
+    assert found.first_fault_s is None
     np.testing.assert_allclose(np.diff(run.observed), 0.1)
     assert (run.observed[0], run.tick) == (-0.5, 850)
     assert run.observed[-1] == pytest.approx(last_seen_s(cell().file)), "as a plan looks for it"
@@ -225,9 +232,15 @@ def test_an_object_a_tenth_of_a_metre_or_a_radian_off_is_lost(
 def test_figures_count_on_after_a_fault_and_all_arms_follow_until_then(monkeypatch: pytest.MonkeyPatch) -> None:
     limp = [Fault(kind=FaultKind.LIMP, arm="left", at_s=at) for at in (4.0, 2.5)]
     found, _ = result(monkeypatch, off_at({5.0: 0.05}, 1e-4), faults=limp)
-    assert (found.position_error_m, found.tracked_s) == (pytest.approx(0.05), 2.5)
+    assert (found.position_error_m, found.tracked_s, found.first_fault_s) == (pytest.approx(0.05), 2.5, 2.5)
     found, _ = result(monkeypatch, faults=limp, trips=[Trip(2.0, "right", Flag.UNEXPECTED)])
-    assert found.tracked_s == 2.0
+    assert (found.tracked_s, found.first_fault_s) == (2.0, 2.5)
+
+
+def test_a_fault_with_the_first_cycle_of_the_motion_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    limp, trips = [Fault(kind=FaultKind.LIMP, arm="left", at_s=0.0)], [Trip(1.2, "right", Flag.UNEXPECTED)]
+    found, _ = result(monkeypatch, off_at({}, 1e-4), faults=limp, trips=trips)
+    assert (found.first_fault_s, found.tracked_s, found.reaction_s, found.within_bounds) == (0.0, 0.0, 1.2, True)
 
 
 def test_a_run_whose_arms_trip_for_a_fault_is_within_bounds_and_one_that_trips_before_it_is_not(

@@ -70,7 +70,7 @@ KEYS = (
 )
 
 
-STRUCK = (Fault(kind=FaultKind.LIMP, arm="left", at_s=7.0), Fault(kind=FaultKind.LIMP, arm="left", at_s=5.0))
+STRUCK_S = 5.0
 
 
 class Told:
@@ -119,12 +119,17 @@ def known(results: Sequence[RunResult]) -> Work:
 def a_result(index: int, **changes: object) -> RunResult:
     good = RunResult(
         "c", index, index, lost=False, tripped=False, within_bounds=True, settled=True, tracked_s=60.0,
-        tripped_s=None, lost_s=None, position_error_m=1e-3,
+        first_fault_s=None, tripped_s=None, lost_s=None, position_error_m=1e-3,
         attitude_error_rad=1e-3, position_beyond_anchor_m=1e-4, attitude_beyond_anchor_rad=1e-3,
         internal_force_mean_N=0.5, internal_force_max_N=1.0, peak_torque_fraction=0.2, reaction_s=None, tripped_by="",
         why="",
     )  # fmt: skip
     return replace(good, **changes)  # type: ignore[arg-type]
+
+
+def a_struck(index: int, **changes: object) -> RunResult:
+    """One with a fault."""
+    return a_result(index, **{"first_fault_s": STRUCK_S, **changes})
 
 
 def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
@@ -167,6 +172,7 @@ def test_the_worst_run_is_a_cell_that_repeats_it(tmp_path: Path, plan: Plan, res
     again = load_cell(tmp_path / "worst.toml")
     assert reality_of(again) == draw(plan.cells[0].file.tolerance, bad.seed, plan.cells[0])
     assert measure(Laboratory(again), None, bad.index, bad.seed) == bad
+    assert "fault" not in (tmp_path / "worst.toml").read_text()
 
 
 def struck(folder: Path, *kinds: str) -> Path:
@@ -190,7 +196,7 @@ def test_what_befell_the_worst_run_befalls_its_cell(tmp_path: Path, kinds: tuple
     assert worst.file.simulation.opening == []
     lab, again = Laboratory(plan.cells[0]), Laboratory(worst)
     found = measure(again, None, 0, task.seed)
-    assert found == replace(run_once(lab, 0, task.seed, plan.faults), reaction_s=None, tracked_s=found.tracked_s)
+    assert found == run_once(lab, 0, task.seed, plan.faults)
     assert found != run_once(lab, 0, task.seed)
 
 
@@ -198,9 +204,30 @@ def test_a_cells_own_faults_stay_beside_those_of_the_study(tmp_path: Path) -> No
     own = cell("simulation.fault=[{kind='limp', arm='left', at_s=0.25}]")
     result = measure(Laboratory(own), None)
     path = tmp_path / "worst.toml"
-    path.write_bytes(worst_cell(own, result, [Fault(kind=FaultKind.OPEN, arm="right", at_s=0.3)]))
-    found = load_cell(path).file.simulation.fault
-    assert [fault.told for fault in found] == ["limp left at 0.25 s", "open right at 0.3 s"]
+    limp, open_right = own.file.simulation.fault[0], Fault(kind=FaultKind.OPEN, arm="right", at_s=0.3)
+    for given, kept in (([open_right], [limp, open_right]), ([limp], [limp]), ([], [limp])):
+        path.write_bytes(worst_cell(own, result, given))
+        assert load_cell(path).file.simulation.fault == kept
+
+
+def test_of_two_cells_of_which_one_has_a_fault_of_its_own_only_its_runs_are_judged_by_it(tmp_path: Path) -> None:
+    """Nobody notices within the tenth of a second that is left."""
+    struck = cell("name='struck'", "simulation.fault=[{kind='limp', arm='left', at_s=0.4}]")
+    sound = cell("safety.tracking_error_max_m=1e-5")
+    plan, out = Plan((sound, struck), 2, 4, ()), tmp_path / "out"
+    document = run_study(plan, out, here, lambda: False, Told()).document
+    one, other = document["cells"]["paper"], document["cells"]["struck"]
+    assert not {"unnoticed", "tripped_before_fault"} & set(one), "nothing befell anybody"
+    assert one["missed"][:1] == ["tripped"]
+    assert (one["tripped"], other["tripped"], other["unnoticed"], other["tripped_before_fault"]) == (2, 0, 2, 0)
+    assert (document["tripped"], document["unnoticed"], document["tripped_before_fault"]) == (2, 2, 0)
+    page = (out / "report.html").read_text()
+    assert page.index("<h2>struck</h2>") < page.index("In every run: limp left at 0.4 s")
+    assert page.count("In every run") == 1
+    with (out / "runs.csv").open() as file:
+        assert [row["first_fault_s"] for row in csv.DictReader(file)] == ["", "", "0.4", "0.4"]
+    table = pyarrow.parquet.read_table(out / "runs.parquet")
+    assert table.column("first_fault_s").to_pylist() == [None, None, 0.4, 0.4]
 
 
 def test_the_terminal_names_the_worst_run_of_a_study_with_faults(tmp_path: Path) -> None:
@@ -433,9 +460,9 @@ def test_quantiles_are_of_all_runs_and_counts_of_each_kind() -> None:
 
 def test_a_lost_run_looks_good_in_no_figure() -> None:
     """However calm it was until then: it counts as the largest of all, and as a number."""
-    kept = [a_result(i, peak_torque_fraction=0.1 * i, reaction_s=0.2) for i in range(1, 5)]
+    kept = [a_struck(i, peak_torque_fraction=0.1 * i, reaction_s=0.2) for i in range(1, 5)]
     calm = {"internal_force_mean_N": 0.0, "internal_force_max_N": 0.0, "peak_torque_fraction": 0.0}
-    lost = [a_result(i, lost=True, within_bounds=False, reaction_s=0.1, **calm) for i in range(5, 10)]
+    lost = [a_struck(i, lost=True, within_bounds=False, reaction_s=0.1, **calm) for i in range(5, 10)]
     for runs in ([*kept, *lost], [*lost, *kept]):
         found = summary(runs)
         assert found["peak_torque_fraction"] == dict.fromkeys(("50", "95", "100"), pytest.approx(0.4))
@@ -447,24 +474,33 @@ def test_a_lost_run_looks_good_in_no_figure() -> None:
 
 
 def test_a_fault_that_nobody_notices_counts_as_noticed_later_than_any() -> None:
-    noticed = [a_result(i, tripped=True, tripped_s=5.0 + 0.1 * i, reaction_s=0.1 * i) for i in range(1, 4)]
-    found = summary([*noticed, a_result(4)], STRUCK)
+    noticed = [a_struck(i, tripped=True, tripped_s=STRUCK_S + 0.1 * i, reaction_s=0.1 * i) for i in range(1, 4)]
+    found = summary([*noticed, a_struck(4)])
     assert (found["unnoticed"], found["tripped_before_fault"], found["tripped"]) == (1, 0, 3)
     assert found["reaction_s"] == {"50": pytest.approx(0.2), "95": None, "100": None}
-    assert summary(noticed, STRUCK)["reaction_s"]["100"] == pytest.approx(0.3)
+    assert summary(noticed)["reaction_s"]["100"] == pytest.approx(0.3)
+
+
+def test_of_runs_without_a_fault_nobody_asks_who_noticed_or_tripped_before_it() -> None:
+    struck = [a_struck(0, first_fault_s=0.0), a_struck(1, tripped=True, tripped_s=5.2, reaction_s=0.2)]
+    for of in ([a_struck(2, tripped=True, tripped_s=4.9, reaction_s=0.4), *struck], struck):
+        found = summary([*of, *(a_result(i, tripped=True, tripped_s=4.0) for i in range(3, 9)), a_result(9)])
+        assert (found["runs"], found["unnoticed"], found["tripped_before_fault"]) == (len(of) + 7, 1, len(of) - 2)
+        assert found["reaction_s"] == summary(of)["reaction_s"]
+        assert found["reaction_s"]["50"] is not None
 
 
 def test_an_arm_that_trips_for_a_fault_does_what_it_should_and_one_that_trips_before_it_does_not() -> None:
     c = cell()
-    after = [a_result(i, tripped=True, tripped_s=5.2, reaction_s=0.2, tripped_by="UNEXPECTED") for i in range(60)]
-    found = summary([*after, a_result(60)], STRUCK)
+    after = [a_struck(i, tripped=True, tripped_s=5.2, reaction_s=0.2, tripped_by="UNEXPECTED") for i in range(60)]
+    found = summary([*after, a_struck(60)])
     kept = judged(c, found)
     assert (kept["missed"], kept["holds"]) == ([], True)
     assert verdict(found | kept) == (
         "holds: 61 runs, none lost, none tripped before the fault, 95 % of them below every bound; "
         "the others noticed it in 60 of 61 runs"
     )
-    found = summary([*after, a_result(60, tripped=True, tripped_s=4.9)], STRUCK)
+    found = summary([*after, a_struck(60, tripped=True, tripped_s=4.9)])
     kept = judged(c, found)
     assert (kept["missed"], kept["holds"]) == (["tripped_before_fault"], False)
     assert verdict(found | kept) == (
@@ -526,14 +562,25 @@ def test_the_worst_is_lost_before_tripped_before_strained_and_the_soonest_of_the
 
 
 def test_with_faults_the_worst_is_lost_before_tripped_for_nothing_before_unnoticed_before_noticed_late() -> None:
-    late, soon = (a_result(i, tripped=True, tripped_s=5.0 + s, reaction_s=s) for i, s in ((1, 0.7), (2, 0.4)))
-    unnoticed = [a_result(i, internal_force_mean_N=force) for i, force in ((3, 1.0), (4, 2.0))]
-    early = a_result(5, tripped=True, tripped_s=4.9, reaction_s=0.1)
-    lost = a_result(6, lost=True, lost_s=5.5, tripped=True, tripped_s=5.1, reaction_s=0.1)
-    assert worst([soon, late], STRUCK) is late
-    assert worst([soon, late, *unnoticed], STRUCK) is unnoticed[1]
-    assert worst([soon, late, *unnoticed, early], STRUCK) is early
-    assert worst([soon, late, *unnoticed, early, lost], STRUCK) is lost
+    late, soon = (a_struck(i, tripped=True, tripped_s=STRUCK_S + s, reaction_s=s) for i, s in ((1, 0.7), (2, 0.4)))
+    unnoticed = [a_struck(i, internal_force_mean_N=force) for i, force in ((3, 1.0), (4, 2.0))]
+    early = a_struck(5, tripped=True, tripped_s=4.9, reaction_s=0.1)
+    lost = a_struck(6, lost=True, lost_s=5.5, tripped=True, tripped_s=5.1, reaction_s=0.1)
+    assert worst([soon, late]) is late
+    assert worst([soon, late, *unnoticed]) is unnoticed[1]
+    assert worst([soon, late, *unnoticed, early]) is early
+    assert worst([soon, late, *unnoticed, early, lost]) is lost
+
+
+def test_a_run_that_nothing_befell_is_worse_than_struck_ones_only_when_it_is_lost_or_trips() -> None:
+    at_once = a_struck(1, first_fault_s=0.0, internal_force_mean_N=0.1)
+    noticed = a_struck(2, tripped=True, tripped_s=5.1, reaction_s=0.1)
+    sound = [a_result(i, internal_force_mean_N=force) for i, force in ((3, 8.0), (4, 9.0))]
+    tripped = a_result(5, tripped=True, tripped_s=9.0)
+    assert worst(sound) is sound[1]
+    assert worst([*sound, noticed]) is noticed
+    assert worst([*sound, noticed, at_once]) is at_once
+    assert worst([*sound, noticed, at_once, tripped]) is tripped
 
 
 def test_from_when_to_when_figures_count_is_said_with_faults_and_with_runs_that_count_from_their_start() -> None:
@@ -546,6 +593,10 @@ def test_from_when_to_when_figures_count_is_said_with_faults_and_with_runs_that_
         f"{until} Lost or tripped too early for that, and counted from the start with its error: 1."
         " In every run: limp left at 0.3 s; they count on after it."
     )
+    own = cell("simulation.fault=[{kind='open', arm='right', at_s=0.25}, {kind='limp', arm='left', at_s=0.3}]")
+    both = f"{until} In every run: open right at 0.25 s, limp left at 0.3 s; they count on after it."
+    for given in ([], [limp]):
+        assert counting(own, summary([a_result(0)]), given) == both
 
 
 def test_runs_that_count_from_their_start_are_said_on_the_terminal_and_the_page(tmp_path: Path) -> None:
