@@ -171,14 +171,15 @@ def _require_fit(plan: Plan) -> None:
                 remedy="give each its own `name`, or its own study",
             )
         last_s = (round(file.duration_s * file.rate_hz) - 1) * cell.period_ns * 1e-9
-        for fault in plan.faults:
+        own = [("simulation.fault", fault) for fault in file.simulation.fault]
+        for table, fault in (*own, *(("faults", fault) for fault in plan.faults)):
             cell.index(fault.arm)
             if fault.at_s > last_s:
                 raise ConfigError(
-                    f"faults: {fault.told}, in cell {file.name}",
+                    f"{table}: {fault.told}, in cell {file.name}",
                     found=f"{fault.at_s:g} s in runs of {file.duration_s:g} s, whose last cycle is at {last_s:g} s",
                     expected="a fault that happens during the run",
-                    remedy="let it happen sooner, or lengthen the runs",
+                    remedy="let it happen sooner, lengthen the runs, or leave it out",
                 )
         if file.duration_s <= file.report.transient_s:
             raise ConfigError(

@@ -293,8 +293,12 @@ def test_a_fault_of_the_cell_counts_as_one_of_the_study_and_stated_by_both_it_is
     assert (found.first_fault_s, found.tracked_s) == (0.5, 0.5)
     assert found.reaction_s is not None
     assert found == measure(Laboratory(cell(*tight)), None, faults=[limp]) == measure(own, None, faults=[limp])
-    sooner = Fault(kind=FaultKind.OPEN, arm="left", at_s=0.3)
-    assert Run(own, None, [sooner]).faults == (limp, sooner)
+    sooner = Fault(kind=FaultKind.OPEN, arm="left", at_s=0.1)
+    run = Run(own, None, [sooner])
+    assert run.faults == (limp, sooner)
+    while run.t < 0.2:
+        run.advance()
+    assert (run.places[0].open, run.places[1].limp) == (True, False), "each at its time, whichever is stated first"
     assert Run(own, None, [limp]).faults == Run(own, None).faults == (limp,)
 
 

@@ -84,6 +84,10 @@ def test_seeds_are_of_study_and_run_and_shared_by_the_cells() -> None:
             'format = 1\ncells = ["paper"]\nduration_s = 25.0\n[[faults]]\nkind = "limp"\narm = "left"\nat_s = 25.0\n',
             "faults: limp left at 25 s, in cell paper: found 25 s in runs of 25 s, whose last cycle is at 24.995 s",
         ),
+        (
+            """format = 1\ncells = ["paper"]\nset = ["simulation.fault=[{kind='open', arm='right', at_s=100.0}]"]\n""",
+            "simulation.fault: open right at 100 s, in cell paper: found 100 s in runs of 100 s, whose last",
+        ),
         ('format = 1\ncells = ["paper"]\nduration_s = 5.0\n', "transient of 20 s"),
         (
             'format = 1\ncells = ["paper"]\nduration_s = 21.0\nset = ["simulation.observe_rate_hz=0.15"]\n',
@@ -105,9 +109,16 @@ def test_a_study_that_cannot_be_meant_is_refused(tmp_path: Path, text: str, mess
     assert "\n" not in str(caught.value)
 
 
-def test_a_fault_in_the_last_cycle_happens(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "fault",
+    [
+        '[[faults]]\nkind = "limp"\narm = "left"\nat_s = 24.995\n',
+        """set = ["simulation.fault=[{kind='limp', arm='left', at_s=24.995}]"]\n""",
+    ],
+    ids=["of the study", "of the cell"],
+)
+def test_a_fault_in_the_last_cycle_happens(tmp_path: Path, fault: str) -> None:
     path = tmp_path / "study.toml"
-    fault = '[[faults]]\nkind = "limp"\narm = "left"\nat_s = 24.995\n'
     path.write_text(f'format = 1\ncells = ["paper"]\nduration_s = 25.0\n{fault}')
     plan = load_plan(path)
     run = Run(Laboratory(plan.cells[0]), None, plan.faults)

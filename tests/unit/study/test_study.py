@@ -194,6 +194,8 @@ def test_what_befell_the_worst_run_befalls_its_cell(tmp_path: Path, kinds: tuple
     task, worst = plan.tasks()[0], load_cell(tmp_path / "out" / "worst.toml")
     assert worst.file.simulation.fault == list(plan.faults)
     assert worst.file.simulation.opening == []
+    said = ", ".join(fault.told for fault in plan.faults)
+    assert f"In every run: {said}; " in (tmp_path / "out" / "report.html").read_text()
     lab, again = Laboratory(plan.cells[0]), Laboratory(worst)
     found = measure(again, None, 0, task.seed)
     assert found == run_once(lab, 0, task.seed, plan.faults)
