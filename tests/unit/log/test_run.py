@@ -59,7 +59,7 @@ def test_rows_are_chosen_by_time_and_by_anything(made: Made) -> None:
         some.where(some["q"][:, 0] > 0)["tau_cmd"], rows["left"][20:40][some["q"][:, 0] > 0]["tau_cmd"][:, :3]
     )
     assert len(run["left"].between(5.0, 6.0)) == 0
-    assert repr(some) == "<left: 20 rows, 0.100 s to 0.195 s, 61 fields>"
+    assert repr(some) == "<left: 20 rows, 0.100 s to 0.195 s, 62 fields>"
 
 
 def waited(path: Path) -> Run:
