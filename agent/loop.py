@@ -199,7 +199,8 @@ def _sense(
     if since == MANY and sense.ticks:
         sense = residual.over_a_gap(sense, terms, dq)
     else:
-        sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY, periods=since)
+        factor, ready = memory.friction_factor, mode is _READY
+        sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, factor, ready=ready, periods=since)
     wrench = terms.J_inv_P.T.dot(sense.residual)
     found = residual.channels(sense, wrench)
     unexpected = mode is _TRACK and (residual.tripped(found, sense, wrench) or residual.pulled(sense))

@@ -62,14 +62,15 @@ class Bearing:
     down: tuple[float, float, float]  # gravity's direction, world axes
 
     def advance(
-        self, borne: Borne, weight_N: float, J_inv_P: Matrix, tau_friction: Vector, dq: Vector, *, ready: bool
-    ) -> Borne:
+        self, borne: Borne, weight_N: float, J_inv_P: Matrix, tau_friction: Vector, dq: Vector, factor: float = 1.0,
+        *, ready: bool,
+    ) -> Borne:  # fmt: skip
         """State after a tick; ready: before the start, when nothing but what is usual is learnt.
 
         weight_N: the force down beside it; J_inv_P: (n, 6) joint velocities of an object twist; tau_friction: the
-        feed-forward at dq_r (n,); dq: joint velocities (n,).
+        feed-forward at dq_r (n,); dq: joint velocities (n,); factor: of friction, as the feed-forward has it.
         """
-        rubs = self.friction.gliding(dq.tolist())
+        rubs = self.friction.gliding(dq.tolist(), factor)
         most = np.abs(rubs)
         moving = np.minimum(np.maximum(tau_friction, -most), most)
         per_joint = -J_inv_P[:, :3].dot(self.down)  # (n,) N of a force up, of a torque

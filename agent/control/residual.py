@@ -89,13 +89,14 @@ class Residual:
             raise ValueError("against and knock go together: without the slip of one the other's limits stay high")
 
     def advance(
-        self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector], *, ready: bool,
-        periods: int,
+        self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector],
+        friction_factor: float = 1.0, *, ready: bool, periods: int,
     ) -> Sense:  # fmt: skip
         """State after a tick of the law at joint velocities dq (n,).
 
         J_inv_P: (n, 6) joint velocities of an object twist; tau: what was sent (n,) one tick and two ticks before;
-        ready: before the start, when the slow channel learns what is usual; periods: since the last tick.
+        friction_factor: of the feed-forward; ready: before the start, when the slow channel learns what is usual;
+        periods: since the last tick.
         """
         T, f = self.period_s, self.delay_periods
         momentum, expected = _momentum(terms, dq)
@@ -124,7 +125,8 @@ class Residual:
             struck = self.knock.advance(struck, (W - base)[:3].tolist(), J_inv_P.dot(terms.desired.v).tolist())
         borne = sense.borne
         if self.bearing is not None:
-            borne = self.bearing.advance(borne, pull.weight_N, J_inv_P, terms.tau_friction, dq, ready=ready)
+            rubs = terms.tau_friction, dq, friction_factor
+            borne = self.bearing.advance(borne, pull.weight_N, J_inv_P, *rubs, ready=ready)
         return Sense(estimate, expected, r, base, slow, rest, ticks, pull, plain, struck, borne)
 
     def over_a_gap(self, sense: Sense, terms: Terms, dq: Vector) -> Sense:

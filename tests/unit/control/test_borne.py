@@ -58,6 +58,12 @@ def test_a_feed_forward_that_is_spent_on_the_friction_that_there_is_bears_nothin
     assert found == pytest.approx((0.0,) * 4, abs=1e-15)
 
 
+def test_so_does_one_of_an_arm_that_has_learned_how_much_there_is() -> None:
+    speeds = np.array([0.03, -0.7])
+    fed = np.array(LAW.friction.gliding(speeds.tolist(), 1.4))
+    assert LAW.advance(NOT_BORNE, 0.0, J_INV_P, fed, speeds, 1.4, ready=False) == pytest.approx((0.0,) * 4, abs=1e-15)
+
+
 def test_only_what_is_beside_the_usual_counts_and_before_the_start_nothing_but_the_usual() -> None:
     bears, sinks = of((1.0, 0.0)), np.array([-1.0, 0.0])  # 0.3 N·m of the first joint twice: 1.2 N
     usual = LAW.advance(Borne(1.2, 0.0, 1.2), 0.0, J_INV_P, bears, sinks, ready=False)

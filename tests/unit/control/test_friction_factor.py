@@ -156,6 +156,25 @@ def test_it_is_learned_while_the_arm_follows_alone_kept_in_every_mode_and_fed_fo
         assert twice.tau_cmd.tolist() == pytest.approx((once.tau_cmd + more).tolist(), rel=1e-12)
 
 
+def test_what_hangs_on_the_object_is_told_from_the_friction_that_the_arm_has_learned() -> None:
+    lab = Laboratory(load_cell(Path("three_wx250s"), ["simulation.ready_s=0.5"]))
+    run = Run(lab, None)
+    while run.t < 1.5:
+        run.advance()
+    place = run.places[0]
+    q, dq, tau = (values[place.joints] for values in run.plant.reported())
+    kept = place.memory._replace(friction_factor=1.4)
+    found = step(place.agent, JointState(0, q, dq, tau), run.t, Mode.TRACK, kept)
+    sense, terms, residual = found.memory.sense, found.terms, place.agent.residual
+    assert terms is not None
+    assert terms.J_inv_P is not None
+    assert residual is not None
+    assert residual.bearing is not None
+    given = kept.sense.borne, sense.pull.weight_N, terms.J_inv_P, terms.tau_friction, found.dq
+    learned_so, by_file = (residual.bearing.advance(*given, factor, ready=False) for factor in (1.4, 1.0))
+    assert sense.borne == learned_so != by_file
+
+
 def test_joints_that_stick_are_fed_so_many_times_what_they_take_and_viscous_friction_is_the_files() -> None:
     dq, tau = np.array([0.2, -0.3]), np.array([1.0, -0.5])
     dry = (JointFriction(0.1, 0.0, 0.05, load=0.1), JointFriction(0.2, 0.0))
