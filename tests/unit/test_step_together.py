@@ -84,8 +84,11 @@ class Noticing:
     pulls: bool = False
     asked: list[dict[str, Any]] = field(default_factory=list)
 
-    def advance(self, sense: Any, _terms: Any, _J_inv_P: Any, dq: Any, tau: Any, *, ready: bool, periods: int) -> Any:
-        self.asked.append({"sense": sense, "dq": dq, "tau": tau, "ready": ready, "periods": periods})
+    def advance(
+        self, sense: Any, _terms: Any, _J_inv_P: Any, dq: Any, tau: Any, factor: float, *, ready: bool, periods: int
+    ) -> Any:
+        asked = {"sense": sense, "dq": dq, "tau": tau, "factor": factor, "ready": ready, "periods": periods}
+        self.asked.append(asked)
         return sense._replace(residual=np.array([1.0, 2.0, 3.0]), ticks=sense.ticks + 1.0)
 
     def over_a_gap(self, sense: Any, _terms: Any, dq: Any) -> Any:
@@ -127,10 +130,11 @@ def test_who_senses_nothing_says_nothing() -> None:
 def test_the_residual_is_given_the_memory_of_the_last_tick(mode: Mode) -> None:
     noticing = Noticing()
     agent = arm(residual=noticing)
-    memory = primed(agent)
+    memory = primed(agent, friction_factor=1.3)
     outcome = at(agent, (0.1, 0.2, 0.3), mode, memory)
     (asked,) = noticing.asked
     assert asked["sense"] is memory.sense
+    assert asked["factor"] == 1.3
     assert asked["tau"] == (memory.tau, memory.tau_before)
     assert asked["dq"].tolist() == [0.1, 0.2, 0.3]
     assert asked["ready"] is (mode is Mode.READY)
