@@ -1,7 +1,7 @@
 """How much of its file's dry friction an arm has: a factor of the feed-forward, learned from the power that it loses.
 
-With r the residual (agent.control.residual), β the factor and P = |τ_frictionᵀ dq| / β the power that friction takes
-by the file,
+With r the residual (agent.control.residual), β the factor and P = |τ_frictionᵀ dq| / β about the power that friction
+takes by the file,
 
     β̇ = RATE s,   s = (−rᵀ dq − BELIEF (β − 1) P) / (P_0 + P),   |s| ≤ SURPRISE,   least ≤ β ≤ most.
 
@@ -9,7 +9,7 @@ Arms that nobody has identified rub otherwise than their file says, and an objec
 holds against that lags by it.  A power counts a joint as it moves: near rest, where nobody knows friction's sign, it
 teaches nothing.  A feed-forward that is too strong is hardly felt as power, for it turns round and round instead;
 BELIEF is what leads back to the file.  Viscous friction stays the file's: with it the loop is checked to be stable
-(agent.verify.criterion).  A neighbour that pulls back for a second changes β by a seventh at most.
+(agent.verify.criterion).  A neighbour that pulls back for a second changes β by RATE SURPRISE at most, usually 0.15.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From which unexpected wrench on the arms of a cell they hold, and whether they are looked at before, as findings.
+"""From which unexpected wrench the arms of a cell hold, what they learn of friction, and what is looked at before.
 
 The residual takes the adaptive law's estimates for what is expected, so what they lack looks like somebody who presses.
 In READY the leak σ forgets that, W(t) = J⁻ᵀ Y (θ̂(0) − θ_nominal) e^{−σ t}; what the estimates do after it answers the
