@@ -21,6 +21,7 @@ from agent.study.lab import Laboratory, Run
 from agent.study.measure import measure
 from agent.verify.noticing import learned as told_of
 from drivers.interface import JointState
+from tests.support.session_script import made, q_grasp
 from tests.unit.test_step_rules import arm, start
 
 T = 5e-3
@@ -154,6 +155,24 @@ def test_it_is_learned_while_the_arm_follows_alone_kept_in_every_mode_and_fed_fo
         assert np.abs(more).max() > 0.01
         assert more.tolist() == pytest.approx((once.tau_friction - viscous).tolist(), rel=1e-9)
         assert twice.tau_cmd.tolist() == pytest.approx((once.tau_cmd + more).tolist(), rel=1e-12)
+
+
+@pytest.mark.parametrize("mode", [Mode.TRACK, Mode.READY])
+@pytest.mark.parametrize("load", [0.0, 0.1])
+def test_an_arm_that_takes_up_its_load_and_one_whose_joints_stick_feed_it_forward_too(mode: Mode, load: float) -> None:
+    """Half of its load, in READY."""
+    plain = made()
+    assert plain.session is not None
+    friction = Friction((JointFriction(0.1, 0.0, load=load),) * 3, 0.05)
+    agent = replace(plain, offline=replace(plain.offline, friction=friction))
+    memory = initial_memory(agent)._replace(q_hold=q_grasp(), age=0.5 * plain.session.life.take_up_s)
+    state = JointState(0, q_grasp() + 0.01, np.array([0.2, -0.3, 0.2]), np.zeros(3))
+    once, twice = (step(agent, state, 0.02, mode, memory._replace(friction_factor=k)).terms for k in (1.0, 2.0))
+    assert once is not None
+    assert twice is not None
+    assert np.abs(twice.tau_friction - once.tau_friction).min() > 1e-3
+    if mode is Mode.TRACK:
+        assert twice.tau_friction.tolist() == pytest.approx((2.0 * once.tau_friction).tolist(), rel=1e-12)
 
 
 def test_what_hangs_on_the_object_is_told_from_the_friction_that_the_arm_has_learned() -> None:
