@@ -15,6 +15,7 @@ from agent.config.schema.reality import ArmReality, Reality
 from agent.control.friction import Friction, JointFriction
 from agent.control.friction_factor import FrictionFactor
 from agent.control.memory import restore
+from agent.faults.rehearse import rehearse
 from agent.loop import initial_memory, step
 from agent.modes import Mode
 from agent.study.lab import Laboratory, Run
@@ -218,10 +219,18 @@ def test_it_goes_through_a_row_and_a_row_that_is_older_has_none() -> None:
 
 # --- what it is for --------------------------------------------------------------------------------------------------
 
+QUICK = "controller.friction_learning_per_s=1.0"  # three times as shipped, so that a shorter motion tells
+
+
+def carrying(*changes: str) -> Laboratory:
+    """Two arms; what they do counts from 7 s on."""
+    settings = ["simulation.ready_s=0.5", "duration_s=12.0", "report.transient_s=7.0"]
+    return Laboratory(load_cell(Path("two_wx200"), [*settings, *changes]))
+
 
 @pytest.fixture(scope="module")
 def lab() -> Laboratory:
-    return Laboratory(load_cell(Path("two_wx200"), ["simulation.ready_s=1.0", "duration_s=26.0"]))
+    return carrying(QUICK)
 
 
 def rubbing(lab: Laboratory, times: float) -> Reality:
@@ -229,24 +238,37 @@ def rubbing(lab: Laboratory, times: float) -> Reality:
 
 
 def test_arms_whose_friction_is_off_find_it_and_keep_the_object_where_it_should_be(lab: Laboratory) -> None:
-    without = Laboratory(load_cell(Path("two_wx200"), ["duration_s=26.0", "controller.friction_learning_per_s=0.0"]))
-    reality = rubbing(lab, 1.5)
+    without, reality = carrying("controller.friction_learning_per_s=0.0"), rubbing(lab, 1.5)
     learning, as_filed = (measure(which, reality).position_beyond_anchor_m for which in (lab, without))
     assert as_filed > 1e-3
     assert learning < 0.5 * as_filed
 
 
 @pytest.mark.parametrize(
-    ("times", "low", "high"),
+    ("times", "low", "high", "until_s"),
     [
-        (1.0, 0.98, 1.05),
-        (1.4, 1.2, 1.4),
-        pytest.param(0.7, 0.75, 0.96, marks=pytest.mark.long),  # too much of it is hardly felt
+        (1.0, 0.98, 1.05, 6.0),
+        (1.4, 1.2, 1.4, 6.0),
+        pytest.param(0.7, 0.75, 0.96, 8.0, marks=pytest.mark.long),  # too much of it is hardly felt
     ],
 )
-def test_what_they_find_is_their_friction(lab: Laboratory, times: float, low: float, high: float) -> None:
+def test_what_they_find_is_their_friction(
+    lab: Laboratory, times: float, low: float, high: float, until_s: float
+) -> None:
     run = Run(lab, rubbing(lab, times))
-    while run.t < 16.0:
+    while run.t < until_s:
         run.advance()
     found = [place.memory.friction_factor for place in run.places]
     assert all(low < factor < high for factor in found), found
+
+
+def test_the_real_drivers_and_loops_find_it_on_emulated_servos_and_their_rows_have_it() -> None:
+    rubs = [f"simulation.reality.arms.{name}.friction=1.4" for name in ("left", "right")]
+    found = rehearse(load_cell(Path("two_wx200"), ["duration_s=2.5", QUICK, *rubs]), [])
+    for arm_run in found.arms.values():
+        rows = arm_run.rows
+        follows = rows["mode"] == Mode.TRACK
+        assert (rows["friction_factor"][~follows] == 1.0).all()
+        assert rows["friction_factor"][-1] > 1.05
+        assert rows["memory"][-1, -1] == rows["friction_factor"][-1]
+        assert follows.sum() > 400
