@@ -63,11 +63,13 @@ def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors
 
     p, quat, v: object pose and twist (world axes, linear first) by this arm's own kinematics.
     """
-    vx, vy, vz, ox, oy, oz = v
+    (px, py, pz), (vx, vy, vz, ox, oy, oz), (pdx, pdy, pdz) = p, v, des.p
     vdx, vdy, vdz, odx, ody, odz = des.v
     adx, ady, adz, bdx, bdy, bdz = des.a
-    kp, ke, kpr, ker = gains.k_p, gains.k_eps, gains.k_p_rate, gains.k_eps_rate
-    e_p = (p[0] - des.p[0], p[1] - des.p[1], p[2] - des.p[2])  # eq:position error
+    (kpx, kpy, kpz), (kex, key, kez) = gains.k_p, gains.k_eps
+    (kprx, kpry, kprz), (kerx, kery, kerz) = gains.k_p_rate, gains.k_eps_rate
+    e_p = (px - pdx, py - pdy, pz - pdz)  # eq:position error
+    x, y, z = e_p
     e_eta, e_eps = attitude_error(quat, des.quat)
     ex, ey, ez = e_eps
     dpx, dpy, dpz = vx - vdx, vy - vdy, vz - vdz  # eq:position error dynamics
@@ -79,27 +81,21 @@ def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors
     dez = -0.5 * (e_eta * wz + (ex * wy - ey * wx)) - (ex * ody - ey * odx)  # eq:epsilon error dynamics
     rx, ry, rz = -e_eta * ex, -e_eta * ey, -e_eta * ez
     v_ref = (  # v_r = v_d − K e, eq:reference signals
-        vdx - kp[0] * e_p[0],
-        vdy - kp[1] * e_p[1],
-        vdz - kp[2] * e_p[2],
-        odx - ke[0] * rx,
-        ody - ke[1] * ry,
-        odz - ke[2] * rz,
+        vdx - kpx * x,
+        vdy - kpy * y,
+        vdz - kpz * z,
+        odx - kex * rx,
+        ody - key * ry,
+        odz - kez * rz,
     )
     dv_ref = (  # v̇_r = v̇_d − K ė,  ė = [ė_p; −ė_η e_ε − e_η ė_ε] with eq:error_dynamics
-        adx - kpr[0] * dpx,
-        ady - kpr[1] * dpy,
-        adz - kpr[2] * dpz,
-        bdx + ker[0] * (de_eta * ex + e_eta * dex),
-        bdy + ker[1] * (de_eta * ey + e_eta * dey),
-        bdz + ker[2] * (de_eta * ez + e_eta * dez),
+        adx - kprx * dpx,
+        ady - kpry * dpy,
+        adz - kprz * dpz,
+        bdx + kerx * (de_eta * ex + e_eta * dex),
+        bdy + kery * (de_eta * ey + e_eta * dey),
+        bdz + kerz * (de_eta * ez + e_eta * dez),
     )
-    e_v = (  # eq:reference error
-        vx - v_ref[0],
-        vy - v_ref[1],
-        vz - v_ref[2],
-        ox - v_ref[3],
-        oy - v_ref[4],
-        oz - v_ref[5],
-    )
-    return Errors(e_p, e_eta, e_eps, (*e_p, rx, ry, rz), v_ref, dv_ref, e_v)
+    ux, uy, uz, ua, ub, uc = v_ref
+    e_v = (vx - ux, vy - uy, vz - uz, ox - ua, oy - ub, oz - uc)  # eq:reference error
+    return Errors(e_p, e_eta, e_eps, (x, y, z, rx, ry, rz), v_ref, dv_ref, e_v)

@@ -16,7 +16,7 @@ from agent.control.friction import Friction
 from agent.control.inverse import invert_jacobian
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.control.posture import Posture
-from agent.control.quaternion import Mat3, Vec3, rotate, rotate_back, rotate_through
+from agent.control.quaternion import Mat3, Vec3, rotate_through
 from agent.control.terms import BY_WRENCHES, CMD, DDQ_REF, DQ_REF, FRICTION, JOINT_TERMS, LAW, SUMMANDS, SUMS, no_terms
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
@@ -113,14 +113,15 @@ def add_wrenches(model: ArmModel, offline: Offline, k: Kinematics, e: Errors, lo
 
     All about the object's centre, world axes; returns f_int,i at the end effector.
     """
-    c, k_v, e_v, x, wanted = offline.load_share, offline.gains.k_v, e.e_v, e.e, offline.internal_wrench
+    c, wanted = offline.load_share, offline.internal_wrench
+    (kx, ky, kz, ka, kb, kc), (vx, vy, vz, wx, wy, wz), (x, y, z, rx, ry, rz) = offline.gains.k_v, e.e_v, e.e
     feedback = (
-        -k_v[0] * e_v[0] - c * x[0],
-        -k_v[1] * e_v[1] - c * x[1],
-        -k_v[2] * e_v[2] - c * x[2],
-        -k_v[3] * e_v[3] - c * x[3],
-        -k_v[4] * e_v[4] - c * x[4],
-        -k_v[5] * e_v[5] - c * x[5],
+        -kx * vx - c * x,
+        -ky * vy - c * y,
+        -kz * vz - c * z,
+        -ka * wx - c * rx,
+        -kb * wy - c * ry,
+        -kc * wz - c * rz,
     )
     internal = NO_WRENCH if wanted is None else rotate_wrench(k.R_world_object, wanted)
     model.scratch.three(feedback, load, internal).dot(k.J6, joints[BY_WRENCHES])
@@ -150,11 +151,8 @@ def lyapunov_share(offline: Offline, k: Kinematics, errors: Errors, dq_error: Ve
 
     c_i (½‖e_p‖² + 1 − e_η²) + ½ (dq − dq_r)ᵀ B (dq − dq_r) + ½ c_i e_vᵀ M_O e_v.
     """
-    e_p, e_eta, e_v = errors.e_p, errors.e_eta, errors.e_v
-    R = k.R_world_object
-    w = rotate_back(R, (e_v[3], e_v[4], e_v[5]))
-    Iw = rotate(offline.object_inertia, w)
-    kinetic = offline.object_mass_kg * (e_v[0] * e_v[0] + e_v[1] * e_v[1] + e_v[2] * e_v[2])
-    kinetic += w[0] * Iw[0] + w[1] * Iw[1] + w[2] * Iw[2]
-    pose = 0.5 * (e_p[0] * e_p[0] + e_p[1] * e_p[1] + e_p[2] * e_p[2]) + 1.0 - e_eta * e_eta
+    (x, y, z), e_eta, (vx, vy, vz, wx, wy, wz) = errors.e_p, errors.e_eta, errors.e_v
+    hx, hy, hz = rotate_through(k.R_world_object, offline.object_inertia, (wx, wy, wz))
+    kinetic = offline.object_mass_kg * (vx * vx + vy * vy + vz * vz) + wx * hx + wy * hy + wz * hz
+    pose = 0.5 * (x * x + y * y + z * z) + 1.0 - e_eta * e_eta
     return offline.load_share * (pose + 0.5 * kinetic) + 0.5 * float(dq_error.dot(k.B.dot(dq_error)))

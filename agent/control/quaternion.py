@@ -58,20 +58,16 @@ def to_matrix(a: Quat) -> Mat3:
 
 def rotate(r: Mat3, v: Vec3) -> Vec3:
     """R v."""
-    return (
-        r[0] * v[0] + r[1] * v[1] + r[2] * v[2],
-        r[3] * v[0] + r[4] * v[1] + r[5] * v[2],
-        r[6] * v[0] + r[7] * v[1] + r[8] * v[2],
-    )
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = r
+    x, y, z = v
+    return (r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z)
 
 
 def rotate_back(r: Mat3, v: Vec3) -> Vec3:
     """Rᵀ v."""
-    return (
-        r[0] * v[0] + r[3] * v[1] + r[6] * v[2],
-        r[1] * v[0] + r[4] * v[1] + r[7] * v[2],
-        r[2] * v[0] + r[5] * v[1] + r[8] * v[2],
-    )
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = r
+    x, y, z = v
+    return (r0 * x + r3 * y + r6 * z, r1 * x + r4 * y + r7 * z, r2 * x + r5 * y + r8 * z)
 
 
 def rotate_through(r: Mat3, m: Mat3, v: Vec3) -> Vec3:
