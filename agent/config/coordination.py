@@ -7,6 +7,7 @@ from agent.config.cell import Arm, Cell
 from agent.config.friction import unfiled
 from agent.config.schema.controller import ControllerKind
 from agent.control.alignment import Alignment
+from agent.control.friction import Friction
 from agent.control.friction_factor import FrictionFactor
 from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Residual
@@ -50,17 +51,32 @@ def residual(cell: Cell, arm: Arm) -> Residual | None:
 
 
 def friction_factor(cell: Cell, arm: Arm) -> FrictionFactor | None:
-    """What this arm learns of its friction; None where nothing is fed forward or noticed, or all of it is known.
+    """What this arm learns of its friction; None where it learns nothing (`unlearned`)."""
+    friction = cell.offline(arm).friction
+    return None if friction is None or unlearned(cell, arm) else _learner(cell, arm, friction)
 
-    The adaptive law has columns of its own for it.
-    """
+
+def unlearned(cell: Cell, arm: Arm) -> str:
+    """Why this arm learns nothing of its friction; empty where it does."""
     controller, friction = cell.file.controller, cell.offline(arm).friction
-    if friction is None or controller.kind is ControllerKind.ADAPTIVE or not cell.file.safety.noticing.enabled:
-        return None
+    if friction is None:
+        return "controller.friction_feedforward is off"
+    if controller.kind is ControllerKind.ADAPTIVE:
+        return "the adaptive law has columns of its own for it"
+    if not cell.file.safety.noticing.enabled:
+        return "safety.noticing is off"
+    if not controller.friction_learning_per_s:
+        return "controller.friction_learning_per_s is 0"
+    learner = _learner(cell, arm, friction)
+    if not learner.usual_W:
+        return "the arm's file has no dry friction"
+    return "" if learner.least < learner.most else "tolerance.friction says that the arm's file is exact"
+
+
+def _learner(cell: Cell, arm: Arm, friction: Friction) -> FrictionFactor:
     least, most = cell.tolerance.friction
     most *= 1.0 + unfiled(cell.tolerance, arm.servos)[0]
-    found = FrictionFactor.of(friction, controller.friction_learning_per_s, max(least, LEAST_FRICTION), most)
-    return found if found.per_s and found.usual_W and found.least < found.most else None
+    return FrictionFactor.of(friction, cell.file.controller.friction_learning_per_s, max(least, LEAST_FRICTION), most)
 
 
 def start_pose(cell: Cell) -> tuple[Vec3, Quat]:

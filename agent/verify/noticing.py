@@ -19,7 +19,7 @@ import numpy as np
 
 from agent.config import noticing
 from agent.config.cell import Arm, Cell, ConfigError
-from agent.config.coordination import friction_factor
+from agent.config.coordination import friction_factor, unlearned
 from agent.config.friction import joint_friction
 from agent.config.schema.arm import Provenance, ServoJoint
 from agent.config.schema.controller import ControllerKind
@@ -95,12 +95,9 @@ def learned(cell: Cell) -> list[Finding]:
     found: dict[str, list[str]] = {}
     for arm in cell.arms:
         learns = friction_factor(cell, arm)
-        told = "none" if learns is None else f"{learns.least:g} to {learns.most:.3g} times its file's"
+        bounds = learns and f"{learns.least:g} to {learns.most:.3g} times its file's"
+        told = bounds or f"none: {unlearned(cell, arm)}"
         found.setdefault(told, []).append(arm.name)
-    if list(found) == ["none"]:
-        noticing_off = not cell.file.safety.noticing.enabled
-        why = "safety.noticing is off" if noticing_off else "friction_learning_per_s is 0, or the files are exact"
-        return [Finding(what, "cell", f"none: {why}", "")]
     return [Finding(what, ", ".join(arms), told, "") for told, arms in found.items()]
 
 

@@ -22,6 +22,7 @@ from agent.study.lab import Laboratory, Run
 from agent.study.measure import measure
 from agent.verify.noticing import learned as told_of
 from drivers.interface import JointState
+from tests.support.arm_files import with_true_arms
 from tests.support.session_script import made, q_grasp
 from tests.unit.test_step_rules import arm, start
 
@@ -117,17 +118,31 @@ def said(name: str, *changes: str) -> list[tuple[str, str]]:
     return [(f.where, f.found) for f in told_of(load_cell(Path(name), list(changes)))]
 
 
-def test_check_says_who_learns_and_how_far_and_why_nobody_does() -> None:
+def test_check_says_who_learns_and_how_far() -> None:
     assert said("two_wx200") == [("left, right", "0.6 to 1.5 times its file's")]
-    assert (
-        said("paper")
-        == said("two_wx200", "safety.noticing.enabled=false")
-        == [("cell", "none: safety.noticing is off")]
-    )
-    exact = [("cell", "none: friction_learning_per_s is 0, or the files are exact")]
-    assert said("two_wx200", "controller.friction_learning_per_s=0.0") == exact
-    assert said("two_wx200", "tolerance.friction=[1.0, 1.0]") == exact
     assert said("two_wx200", "controller.friction_feedforward=false") == said("paper_adaptive") == []
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ("safety.noticing.enabled=false", "safety.noticing is off"),
+        ("controller.friction_learning_per_s=0.0", "controller.friction_learning_per_s is 0"),
+        ("tolerance.friction=[1.0, 1.0]", "tolerance.friction says that the arm's file is exact"),
+    ],
+)
+def test_check_says_why_nobody_learns(change: str, why: str) -> None:
+    assert said("two_wx200", change) == [("left, right", f"none: {why}")]
+
+
+def test_an_arm_of_viscous_friction_alone_is_named_beside_one_that_learns(tmp_path: Path) -> None:
+    cell = load_cell(Path("two_models"))
+    no_dry = {servo.name: {"coulomb_Nm": 0.0} for servo in cell.arms[0].file.joints}
+    oiled = with_true_arms(cell, tmp_path, factors=no_dry).arms[0]
+    assert [(f.where, f.found) for f in told_of(replace(cell, arms=(oiled, cell.arms[1])))] == [
+        (oiled.name, "none: the arm's file has no dry friction"),
+        (cell.arms[1].name, "0.6 to 1.5 times its file's"),
+    ]
 
 
 def test_it_is_learned_while_the_arm_follows_alone_kept_in_every_mode_and_fed_forward() -> None:
