@@ -45,7 +45,7 @@ from tests.support.servos.coupled_rig import ArmRun
 from tests.support.servos.dxl_rig import VirtualPort
 from tests.support.starts import start_joints
 
-READY_NS = 1_500_000_000  # from the last arm's first cycle to the common start
+READY_S = 1.5  # from the last arm's first cycle to the common start
 
 
 class LossyDriver(DynamixelDriver):
@@ -75,7 +75,8 @@ Happening = Callable[["Rehearsal"], None]
 class Rehearsal:
     """A run of a cell whose [hil] names the arms in the loop; without the table all are simulated.
 
-    faults and happenings count from the common start.
+    faults and happenings count from the common start, which is ready_s behind the last arm's first cycle; give_up_s:
+    when somebody ends a run that has not started by then.
     """
 
     def __init__(
@@ -88,6 +89,8 @@ class Rehearsal:
         older_cycles: int = 0,
         lost: float = 0.0,
         begin: Happening | None = None,
+        ready_s: float = READY_S,
+        give_up_s: float = GIVE_UP_NS * 1e-9,
     ) -> None:
         q_start = start_joints(cell)
         hil = cell.file.hil
@@ -99,6 +102,7 @@ class Rehearsal:
         self.clock = SharedClock(self._physics, self._injectors)
         self.cell, self._faults, self._late = cell, faults, (older_cycles, lost)
         self._happenings = happenings or {}
+        self._ready_ns, self._give_up_ns = round(ready_s * 1e9), round(give_up_s * 1e9)
         self._ready: set[str] = set()
         self._killed: set[str] = set()
         self.zero_ns: int | None = None
@@ -160,17 +164,17 @@ class Rehearsal:
 
     def _operator(self) -> Event:
         """Somebody who ends a run that never starts."""
-        never = self.plant.tick < 0 and self.clock.now_ns() > GIVE_UP_NS
+        never = self.plant.tick < 0 and self.clock.now_ns() > self._give_up_ns
         return Event.STOP | Event.RELEASED if never else Event.NONE
 
     def _start(self, arm: str) -> int | None:
         self._ready.add(arm)
         if self.zero_ns is None and len(self._ready) == len(self.arms):
             now_ns = self.clock.now_ns()
-            self.zero_ns = now_ns + READY_NS
+            self.zero_ns = now_ns + self._ready_ns
             for injector in self._injectors:
                 mine = [f for f in self._faults if f.arm == injector.arm.name]
-                injector.add([f.model_copy(update={"start_s": f.start_s + READY_NS * 1e-9}) for f in mine], now_ns)
+                injector.add([f.model_copy(update={"start_s": f.start_s + self._ready_ns * 1e-9}) for f in mine], now_ns)
             self._physics.todo = [
                 (self.zero_ns + round(t * 1e9), lambda happen=happen: happen(self))  # type: ignore[misc]
                 for t, happen in sorted(self._happenings.items())
