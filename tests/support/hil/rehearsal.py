@@ -174,7 +174,9 @@ class Rehearsal:
             self.zero_ns = now_ns + self._ready_ns
             for injector in self._injectors:
                 mine = [f for f in self._faults if f.arm == injector.arm.name]
-                injector.add([f.model_copy(update={"start_s": f.start_s + self._ready_ns * 1e-9}) for f in mine], now_ns)
+                injector.add(
+                    [f.model_copy(update={"start_s": f.start_s + self._ready_ns * 1e-9}) for f in mine], now_ns
+                )
             self._physics.todo = [
                 (self.zero_ns + round(t * 1e9), lambda happen=happen: happen(self))  # type: ignore[misc]
                 for t, happen in sorted(self._happenings.items())

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from agent.standing import afresh, hold_after, hold_here
 from agent.study.lab import Laboratory, Run
 from agent.verify.noticing import noticed
 from drivers.interface import JointState
+from tests.support.branched import branched, ways
 from tests.unit.test_step_rules import arm, start, tick
 
 PERIOD = 5e-3
@@ -202,12 +205,20 @@ def test_a_hold_goes_on_with_it_by_the_law_alone() -> None:
 # --- what it is for --------------------------------------------------------------------------------------------------
 
 
+@cache
 def laboratory(name: str, *changes: str) -> Laboratory:
-    return Laboratory(load_cell(Path(name), ["simulation.ready_s=1.0", *changes]))
+    return Laboratory(load_cell(Path(name), ["simulation.ready_s=0.4", *changes]))
 
 
-def until(lab: Laboratory, end_s: float, *faults: Fault) -> Run:
-    run = Run(lab, None, faults)
+@cache
+def way(name: str) -> Callable[[float], Run]:
+    """As long as nobody holds, a cell with the pull does what one without it does."""
+    return ways(laboratory(name))
+
+
+def until(end_s: float, name: str, *changes: str, holds: Sequence[str], at_s: float) -> Run:
+    faults = [Fault(kind=FaultKind.HOLD, arm=arm_name, at_s=at_s) for arm_name in holds]
+    run = branched(way(name)(at_s), laboratory(name, *changes), *faults)
     while run.t < end_s:
         run.advance()
     return run
@@ -220,11 +231,10 @@ def until(lab: Laboratory, end_s: float, *faults: Fault) -> Run:
 def test_neighbours_notice_a_hold_in_a_slow_motion_which_they_do_not_without_it(
     name: str, arm_name: str, at_s: float
 ) -> None:
-    fault = Fault(kind=FaultKind.HOLD, arm=arm_name, at_s=at_s)
-    run = until(laboratory(name), at_s + 0.5, fault)
+    run = until(at_s + 0.5, name, holds=[arm_name], at_s=at_s)
     assert [trip.arm for trip in run.trips].count(arm_name) == 0
     assert len(run.trips) == len(run.places) - 1, "all of the others"
-    assert until(laboratory(name, "safety.noticing.brace_N=0.0"), at_s + 0.5, fault).trips == []
+    assert until(at_s + 0.5, name, "safety.noticing.brace_N=0.0", holds=[arm_name], at_s=at_s).trips == []
 
 
 @pytest.mark.long
@@ -240,21 +250,8 @@ def test_so_they_do_with_the_real_driver_and_loop_on_emulated_servos(name: str, 
     assert held_s("safety.noticing.brace_N=0.0") == []
 
 
-def test_arms_that_hold_together_hardly_pull_and_keep_the_object() -> None:
-    """At 9 mm/s; what friction lets go comes to rest, and the pull fades."""
-    lab = laboratory("three_wx250s")
-    run = until(lab, 4.5, *(Fault(kind=FaultKind.HOLD, arm=a.name, at_s=4.5) for a in lab.cell.arms))
-    before, most = run.observe().p_object, 0.0
-    while run.t < 6.5:
-        run.advance()
-        most = max(most, *(place.memory.braced.force_N for place in run.places))
-    assert np.linalg.norm(run.observe().p_object - before) < 1e-3
-    assert 0.0 < most < 2.0
-    assert max(place.memory.braced.force_N for place in run.places) < 0.2
-
-
 def test_a_tick_of_a_braced_hold_goes_on_from_its_row_bit_for_bit() -> None:
-    run = until(laboratory("three_wx250s"), 2.8, Fault(kind=FaultKind.HOLD, arm="left", at_s=2.5))
+    run = until(2.8, "three_wx250s", holds=["left"], at_s=2.5)
     place = run.places[0]
     assert place.memory.braced.force_N > 0.1
     q, dq, tau = (values[place.joints] for values in run.plant.reported())
@@ -263,3 +260,15 @@ def test_a_tick_of_a_braced_hold_goes_on_from_its_row_bit_for_bit() -> None:
     one, two = (step(place.agent, state, run.t, Mode.HOLD, memory) for memory in (place.memory, restored))
     assert one.tau.tobytes() == two.tau.tobytes()
     assert one.memory.flatten() == two.memory.flatten()
+
+
+def test_arms_that_hold_together_hardly_pull_and_keep_the_object() -> None:
+    """At 9 mm/s; what friction lets go comes to rest, and the pull fades."""
+    run = until(4.5, "three_wx250s", holds=["left", "back", "front"], at_s=4.5)
+    before, most = run.observe().p_object, 0.0
+    while run.t < 6.5:
+        run.advance()
+        most = max(most, *(place.memory.braced.force_N for place in run.places))
+    assert np.linalg.norm(run.observe().p_object - before) < 1e-3
+    assert 0.0 < most < 2.0
+    assert max(place.memory.braced.force_N for place in run.places) < 0.2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from agent.control.residual import Channels, Residual, nothing_sensed
 from agent.modes import Mode
 from agent.safety import Flag
 from agent.study.lab import Laboratory, Run
+from tests.support.branched import branched, ways
 
 GRAVITY, FORWARD = (0.0, 0.0, -9.81), (0.02, 0.0, 0.0, 0.0, 0.0, 0.0)
 LIMITS = Channels(2.0, 0.4, 1.0, 0.2)
@@ -107,7 +109,12 @@ def test_the_words_have_all_that_fits_and_the_sizes() -> None:
 
 @pytest.fixture(scope="module")
 def lab() -> Laboratory:
-    return Laboratory(load_cell(Path("two_wx200"), ["simulation.ready_s=2.0", "trajectory.ramp_s=0.5"]))
+    return Laboratory(load_cell(Path("two_wx200"), ["simulation.ready_s=1.0", "trajectory.ramp_s=0.5"]))
+
+
+@pytest.fixture(scope="module")
+def until(lab: Laboratory) -> Callable[[float], Run]:
+    return ways(lab)
 
 
 @pytest.mark.parametrize("at_s", [0.7, pytest.param(1.1, marks=pytest.mark.long)])
@@ -121,9 +128,9 @@ def lab() -> Laboratory:
 )
 @pytest.mark.fault("F1", "F2")
 def test_the_neighbour_of_a_fault_names_it(
-    lab: Laboratory, kind: FaultKind, cause: Cause, within_s: float, at_s: float
+    lab: Laboratory, until: Callable[[float], Run], kind: FaultKind, cause: Cause, within_s: float, at_s: float
 ) -> None:
-    run = Run(lab, None, [Fault(kind=kind, arm="left", at_s=at_s)])
+    run = branched(until(at_s), lab, Fault(kind=kind, arm="left", at_s=at_s))
     while run.t < at_s + 0.15 and run.places[1].mode is not Mode.HOLD:
         run.advance()
     (trip,) = (t for t in run.trips if t.arm == "right")
@@ -134,13 +141,13 @@ def test_the_neighbour_of_a_fault_names_it(
 
 @pytest.mark.parametrize(("force_N", "noticed"), [(10.0, True), (2.0, False)])
 @pytest.mark.fault("F5")
-def test_a_push_is_noticed_and_a_touch_is_not(lab: Laboratory, force_N: float, noticed: bool) -> None:
-    run = Run(lab, None)
-    while run.t < 0.8:
-        run.advance()
+def test_a_push_is_noticed_and_a_touch_is_not(
+    lab: Laboratory, until: Callable[[float], Run], force_N: float, noticed: bool
+) -> None:
+    run = branched(until(0.7), lab)
     assert not run.trips
     run.plant.push(np.array([0.0, 0.0, -force_N, 0.0, 0.0, 0.0]))
-    while run.t < 0.85 if noticed else run.t < 1.3:
+    while run.t < 0.75 if noticed else run.t < 1.2:
         run.advance()
     assert bool(run.trips) is noticed
     if noticed:

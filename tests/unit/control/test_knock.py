@@ -114,7 +114,7 @@ def test_limits_are_above_what_24_realities_showed_over_the_slip() -> None:
 
 @pytest.fixture(scope="module")
 def lab() -> Laboratory:
-    return Laboratory(load_cell(Path("four_wx250s"), ["simulation.ready_s=1.0"]))
+    return Laboratory(load_cell(Path("four_wx250s"), ["simulation.ready_s=0.4"]))
 
 
 @pytest.mark.parametrize("push_N", [pytest.param((0.0, -10.0, 0.0), marks=pytest.mark.long), (0.0, 0.0, 10.0)])

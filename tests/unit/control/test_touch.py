@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from agent.safety import Flag
 from agent.study.lab import Laboratory, Run
 from agent.verify.noticing import noticed
 from drivers.interface import JointState
+from tests.support.branched import branched, ways
 from tests.support.few import long
 from tests.unit.control import test_residual as bench
 
@@ -183,12 +185,23 @@ def test_the_log_says_it() -> None:
 # --- a push and a neighbour that holds -------------------------------------------------------------------------------
 
 BEGIN_S = 6.0  # at 35 mm/s against x
+READY = "simulation.ready_s=0.4"
+
+
+@cache
+def lab(*overrides: str) -> Laboratory:
+    return Laboratory(cell("two_wx200", READY, *overrides))
+
+
+@cache
+def begun() -> Run:
+    return ways(lab())(BEGIN_S)
 
 
 def run(*overrides: str, fault: FaultKind | None = None, push_N: float = 0.0, end_s: float = BEGIN_S + 0.8) -> Run:
     """Until end_s or the first arm that holds by itself; a fault of the arm left, or a push along x for 0.5 s."""
     faults = [] if fault is None else [Fault(kind=fault, arm="left", at_s=BEGIN_S)]
-    found = Run(Laboratory(cell("two_wx200", "simulation.ready_s=1.0", *overrides)), None, faults)
+    found = branched(begun(), lab(*overrides), *faults)
     while found.t < end_s and not any(trip.arm == "right" for trip in found.trips):
         pushed = BEGIN_S <= found.t < BEGIN_S + 0.5
         found.plant.push(np.array([push_N if pushed else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
