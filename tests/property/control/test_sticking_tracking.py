@@ -15,7 +15,7 @@ from tests.support.plant.inprocess import History, simulate
 
 TRANSIENT_S = 2.5  # every cell is settled by then
 DURATION_S = TRANSIENT_S + 15.0  # one period of the trajectory behind it
-HALF_S = TRANSIENT_S + 7.5  # `make long` has the whole period
+QUARTER_S = TRANSIENT_S + 3.75  # every joint turns round; `make long` has the whole period
 
 
 @cache
@@ -29,7 +29,7 @@ def run(name: str, *overrides: str, sticks: bool = True, duration_s: float = DUR
 @pytest.mark.parametrize(
     ("cell", "bound_m", "bound_rad", "duration_s"),
     [
-        ("paper", 0.5e-3, 2e-3, HALF_S),
+        ("paper", 0.5e-3, 2e-3, QUARTER_S),
         pytest.param("paper", 0.5e-3, 2e-3, DURATION_S, marks=pytest.mark.long),
         pytest.param("three_wx250s", 1e-3, 6e-3, DURATION_S, marks=pytest.mark.long),
         pytest.param("two_wx200", 0.5e-3, 2e-3, DURATION_S, marks=pytest.mark.long),
@@ -46,7 +46,7 @@ def test_joints_that_stick_cost_no_more_than_the_bound(
 
 @pytest.mark.long  # what its model does: below
 def test_without_feed_forward_they_cost_ten_times_as_much() -> None:
-    without = run("paper", "controller.friction_feedforward=false", duration_s=HALF_S)
+    without = run("paper", "controller.friction_feedforward=false", duration_s=QUARTER_S)
     assert without.after(TRANSIENT_S)[0] > 10.0 * run("paper").after(TRANSIENT_S)[0]
 
 
@@ -54,11 +54,11 @@ def test_a_model_without_breakaway_and_load_does_not_do_it() -> None:
     """The plant sticks, and the agents believe in Coulomb and viscous friction alone."""
     plain = load_cell(configs.CELLS_DIR / "paper.toml")
     with TemporaryDirectory() as folder:
-        believing = simulate(with_figures(plain, Path(folder), sticking), HALF_S, agents_cell=plain)
-    assert believing.after(TRANSIENT_S)[0] > 1.6 * run("paper", duration_s=HALF_S).after(TRANSIENT_S)[0]
+        believing = simulate(with_figures(plain, Path(folder), sticking), QUARTER_S, agents_cell=plain)
+    assert believing.after(TRANSIENT_S)[0] > 1.6 * run("paper", duration_s=QUARTER_S).after(TRANSIENT_S)[0]
 
 
 def test_torque_is_as_calm_at_turns_as_where_nothing_sticks() -> None:
     """Mean change per tick over a motion in which every joint turns round."""
-    plain = run("paper", sticks=False, duration_s=HALF_S)
-    assert run("paper", duration_s=HALF_S).chatter(TRANSIENT_S) < 1.1 * plain.chatter(TRANSIENT_S)
+    plain = run("paper", sticks=False, duration_s=QUARTER_S)
+    assert run("paper", duration_s=QUARTER_S).chatter(TRANSIENT_S) < 1.1 * plain.chatter(TRANSIENT_S)
