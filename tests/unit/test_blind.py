@@ -27,7 +27,8 @@ from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.coupled_rig import CoupledRun, Truth
 from tests.support.servos.dxl_rig import loses
 
-FAULT_S = 0.3
+FAULT_S = 0.1
+READY_S = 0.1
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", ["duration_s=10.0", "safety.recover_s=0.1"])
 PERIOD_S = CELL.period_ns * 1e-9
 N = 3
@@ -101,8 +102,9 @@ def flagged(rows: Any, flag: Flag) -> Any:
 )  # fmt: skip
 @pytest.mark.fault("B2", "B3", "B11")
 def test_a_silent_bus_gives_the_weights_torque_then_silence_then_the_watchdogs(kind: str, mode: Mode) -> None:
-    stop_s = 0.1 if mode is Mode.HOLD else 1e3
-    run = CoupledRun(CELL, [KINDS[kind]], real=True, starts=mode is not Mode.READY, operator=until(0.95, stop_s))
+    stop_s, starts = 0.03 if mode is Mode.HOLD else 1e3, mode is not Mode.READY
+    words = until(FAULT_S + 0.55, stop_s)
+    run = CoupledRun(CELL, [KINDS[kind]], real=True, starts=starts, operator=words, ready_s=READY_S)
     left, right = run.arms["left"], run.arms["right"]
     rows = left.rows
     first = flagged(rows, Flag.STALE)[0]
@@ -160,7 +162,7 @@ def port_away(gone: bool) -> Callable[[CoupledRun], None]:
 def test_a_port_that_comes_back_before_the_watchdogs_fire_leaves_the_arm_in_hold_without_a_jump(away_s: float) -> None:
     """However soon: nothing is opened again before the arm holds."""
     actions = [(FAULT_S, port_away(True)), (FAULT_S + away_s, port_away(False))]
-    run = CoupledRun(BACK, real=True, operator=until(0.9), actions=actions)
+    run = CoupledRun(BACK, real=True, operator=until(FAULT_S + 0.5), actions=actions, ready_s=READY_S)
     left = run.arms["left"]
     rows = left.rows
     assert left.tripped_ns is None
@@ -171,14 +173,14 @@ def test_a_port_that_comes_back_before_the_watchdogs_fire_leaves_the_arm_in_hold
     assert (rows["mode"][rows["t"] > FAULT_S + 0.05] == Mode.HOLD).all()
     assert left.summary is not None
     assert left.summary.mode is Mode.OFF
-    assert moved(run.between(FAULT_S, 0.9)) <= 0.02
+    assert moved(run.between(FAULT_S, FAULT_S + 0.5)) <= 0.02
     assert_replays(rows)
 
 
 @pytest.mark.fault("S6")
 def test_an_arm_whose_watchdogs_fired_is_armed_again_and_holds_where_it_is() -> None:
     fault = Fault(kind=FaultKind.MUTE, arm="left", start_s=FAULT_S, duration_s=0.35)
-    run = CoupledRun(BACK, [fault], real=True, operator=until(1.2))
+    run = CoupledRun(BACK, [fault], real=True, operator=until(FAULT_S + 0.9), ready_s=READY_S)
     left = run.arms["left"]
     rows = left.rows
     assert left.tripped_ns is not None
@@ -204,8 +206,9 @@ def test_an_arm_of_which_one_servo_missed_its_zero_begins_at_zero_with_the_next_
         loses(run.arms["left"], table.GOAL_CURRENT, 1, 2, 5)
 
     silent_s, back_s = 1.2, FAULT_S + 1.2
+    actions = [(0.05, loses_a_zero)]
     fault = Fault(kind=FaultKind.MUTE, arm="left", start_s=FAULT_S, duration_s=silent_s)
-    run = CoupledRun(BACK, [fault], real=True, operator=until(back_s + 0.7), actions=[(0.2, loses_a_zero)])
+    run = CoupledRun(BACK, [fault], real=True, operator=until(back_s + 0.7), actions=actions, ready_s=READY_S)
     left = run.arms["left"]
     rows = left.rows
     assert [e.kind.name for e in left.events][-1:] == ["REARMED"]
@@ -231,7 +234,8 @@ def test_nothing_is_written_to_an_arm_that_is_another_one() -> None:
             servo.firmware.memory.put(table.MODEL_NUMBER, 1060)
         port.writes.clear()
 
-    run = CoupledRun(CELL, real=True, operator=until(1.0), actions=[(FAULT_S, port_away(True)), (FAULT_S + 0.08, swap)])
+    actions = [(FAULT_S, port_away(True)), (FAULT_S + 0.08, swap)]
+    run = CoupledRun(CELL, real=True, operator=until(FAULT_S + 0.7), actions=actions, ready_s=READY_S)
     left = run.arms["left"]
     assert left.summary is not None
     assert left.summary.mode is Mode.FAULT
@@ -260,7 +264,9 @@ def stall(seconds: float) -> Callable[[CoupledRun], None]:
 )
 @pytest.mark.fault("P12")
 def test_a_process_that_was_stopped_for_more_than_ten_cycles_holds(seconds: float, held: bool) -> None:
-    run = CoupledRun(CELL, real=True, operator=until(0.8), actions=[(FAULT_S, stall(seconds))])
+    run = CoupledRun(
+        CELL, real=True, operator=until(FAULT_S + 0.3), actions=[(FAULT_S, stall(seconds))], ready_s=READY_S
+    )
     left = run.arms["left"]
     rows = left.rows
     gaps = flagged(rows, Flag.GAP)
@@ -283,12 +289,12 @@ def test_a_process_that_was_stopped_for_more_than_ten_cycles_holds(seconds: floa
 
 
 PAPER = load_cell(configs.CELLS_DIR / "paper.toml", ["duration_s=10.0"])
-HOLD_S, BEGIN_S, END_S = 0.2, 0.4, 1.0
+HOLD_S, BEGIN_S, END_S = 0.05, 0.2, 0.8
 
 
 def held(cell: Cell = PAPER, *actions: tuple[float, Callable[[CoupledRun], None]], end_s: float = END_S) -> CoupledRun:
     """Arms that hold from HOLD_S to end_s while something is done to them."""
-    run = CoupledRun(cell, real=True, operator=until(end_s, HOLD_S), actions=actions)
+    run = CoupledRun(cell, real=True, operator=until(end_s, HOLD_S), actions=actions, ready_s=READY_S)
     for arm in run.arms.values():
         assert arm.summary is not None
         assert arm.summary.mode is Mode.OFF
@@ -380,7 +386,7 @@ def test_a_hold_that_is_shaken_stays_below_the_speed_limit_and_the_torque_caps(
 
     cell = load_cell(configs.CELLS_DIR / f"{name}.toml", ["duration_s=10.0"])
     swings = [(BEGIN_S + swing_s * k, push(force_N * (-1.0) ** k)) for k in range(4)]
-    over_s, end_s = 0.9, 1.1
+    over_s, end_s = 0.7, 0.9
     run = held(cell, *swings, (over_s, push(0.0)), end_s=end_s)
     assert_bounded(run, cell, over_s, end_s=end_s)
     assert fastest(run.between(BEGIN_S, END_S)) < most_rad_per_s

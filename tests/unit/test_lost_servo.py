@@ -14,12 +14,13 @@ from agent.modes import Mode
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.coupled_rig import CoupledRun
 
-FAULT_S, DURATION_S, GIVEN_UP_S = 0.4, 1.8, 3.4
+FAULT_S, DURATION_S, GIVEN_UP_S = 0.4, 1.8, 1.7
 
 
 def cell(duration_s: float = DURATION_S) -> Cell:
     return load_cell(
-        configs.CELLS_DIR / "two_wx200.toml", [f"duration_s={duration_s}", "safety.tracking_error_max_m=0.02"]
+        configs.CELLS_DIR / "two_wx200.toml",
+        [f"duration_s={duration_s}", "safety.tracking_error_max_m=0.02", "safety.recover_s=0.4"],
     )
 
 
@@ -50,7 +51,7 @@ def test_a_lost_servo_is_named_and_both_arms_hold(
     kind: FaultKind, servo: int, named: str, ends: Mode, noticed_s: float
 ) -> None:
     seen_s = GIVEN_UP_S if ends is Mode.FAULT else DURATION_S
-    arms = CoupledRun(cell(seen_s), [Fault(kind=kind, arm="left", servo=servo, start_s=FAULT_S)]).arms
+    arms = CoupledRun(cell(seen_s), [Fault(kind=kind, arm="left", servo=servo, start_s=FAULT_S)], ready_s=0.05).arms
     left, right = arms["left"], arms["right"]
     assert left.summary is not None
     assert right.summary is not None
