@@ -16,8 +16,8 @@ from tests.support.control.coupled_motion import Instant
 from tests.support.control.gentle import gentle_cell
 from tests.support.control.strategies import RandomCell, with_internal_wrenches
 
-DURATION = 1.0  # s
-SHORT = 0.4  # s: a balance is broken at once
+DURATION = 0.8  # s
+SHORT = 0.2  # s: a balance is broken at once
 STEP = 0.005  # s
 LONG = (pytest.param(True, 2, marks=pytest.mark.long), pytest.param(False, 4, marks=pytest.mark.long))
 

@@ -34,7 +34,7 @@ def towards(x_m: float, z_m: float, move_s: float, *overrides: str, cell: str = 
     return load_cell(path, [f"trajectory={motion}", *blind, *overrides])
 
 
-REST_S = 2.5  # behind the motion
+REST_S, LEAST_S = 1.5, 3.5  # behind the motion, and of all of a run
 # slow and fast, forward and up: the arm stretches; the last is fast enough to pass the margin within one tick or two
 INTO = [
     (0.6, 0.25, 3.0, "identify_wx200"),
@@ -60,7 +60,7 @@ LONG = {INTO[1], INTO[2], INTO[4]}  # `make long` runs these
     ids=lambda into: f"{into[3]} to {into[0]} {into[1]} in {into[2]} s",
 )
 def run(request: pytest.FixtureRequest) -> ArmRun:
-    return run_one(target(request.param), request.param[2] + REST_S)
+    return run_one(target(request.param), max(LEAST_S, request.param[2] + REST_S))
 
 
 def test_the_check_would_have_refused_each_of_them() -> None:
@@ -122,7 +122,7 @@ def test_the_hold_replays_from_any_of_its_rows(run: ArmRun) -> None:
 
 @pytest.mark.parametrize("override", ['controller.velocity="servo"', long('controller.kind="adaptive"')])
 def test_other_velocities_and_the_other_law_hold_too(override: str) -> None:
-    run = run_one(towards(0.45, 0.5, 3.0, override), 6.0)
+    run = run_one(towards(0.45, 0.5, 3.0, override), 4.0)
     assert run.modes == [Mode.TRACK, Mode.HOLD]
     assert "SINGULAR" in run.summary.reason
     assert np.abs(run.held["dq"][-100:]).max() < 0.1
@@ -140,7 +140,7 @@ def test_both_arms_of_a_cell_that_stretch_together_hold_together(tmp_path: Path)
 
         def work(i: int) -> None:
             try:
-                runs[cell.arms[i].name] = run_loop(cell, i, drivers[i], drivers[i].clock, 5.0)
+                runs[cell.arms[i].name] = run_loop(cell, i, drivers[i], drivers[i].clock, 4.5)
             finally:
                 drivers[i].disable()
 

@@ -18,23 +18,24 @@ from tests.support.servos.coupled_rig import ArmRun, CoupledRun
 
 
 def cell(*overrides: str) -> Cell:
-    return load_cell(configs.CELLS_DIR / "two_wx200.toml", ["duration_s=1.7", *overrides])
+    return load_cell(configs.CELLS_DIR / "two_wx200.toml", ["duration_s=0.8", *overrides])
 
 
-LOW_SUPPLY = Fault(kind=FaultKind.VOLTAGE, arm="left", start_s=0.2, voltage_V=9.6)
+READY_S = 0.05
+LOW_SUPPLY = Fault(kind=FaultKind.VOLTAGE, arm="left", start_s=0.05, voltage_V=9.6)
 
 
 @cache
 def left_arm(fault: Fault) -> ArmRun:
     """What the left arm left of a run with this fault."""
-    return CoupledRun(cell(), [fault]).arms["left"]
+    return CoupledRun(cell(), [fault], ready_s=READY_S).arms["left"]
 
 
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
         pytest.param(
-            Fault(kind=FaultKind.OVERHEAT, arm="left", servo=3, start_s=0.2, temperature_C=79.0),
+            Fault(kind=FaultKind.OVERHEAT, arm="left", servo=3, start_s=0.05, temperature_C=79.0),
             "monitor temperature: temperature of servo 3 (shoulder): found 79 °C, expected below 78 °C",
             id="S3 shadow servo hot",
             marks=pytest.mark.long,
@@ -53,7 +54,7 @@ def test_an_arm_holds_before_its_servo_switches_itself_off(fault: Fault, named: 
     assert left.summary.mode is Mode.HOLD
     assert named in left.summary.reason
     held = left.rows[left.rows["mode"] == Mode.HOLD]
-    assert held["t"][0] < 1.5, "two readings, after every servo has been asked once"
+    assert held["t"][0] < 0.8, "two readings, after every servo has been asked once"
     assert np.isfinite(held["tau_sent"][:, :3]).all(), "all servos still have torque"
 
 
@@ -61,12 +62,12 @@ def test_an_arm_holds_before_its_servo_switches_itself_off(fault: Fault, named: 
     ("fault", "named"),
     [
         pytest.param(
-            Fault(kind=FaultKind.OVERLOAD, arm="left", servo=3, start_s=0.3),
+            Fault(kind=FaultKind.OVERLOAD, arm="left", servo=3, start_s=0.1),
             "servo 3 (shoulder)",
             id="S2 shadow",
         ),
         pytest.param(
-            Fault(kind=FaultKind.ENCODER_OFFSET, arm="left", servo=4, start_s=0.3),
+            Fault(kind=FaultKind.ENCODER_OFFSET, arm="left", servo=4, start_s=0.1),
             "servo 4 (elbow)",
             id="S5 wrong by 5°",
         ),
@@ -74,11 +75,11 @@ def test_an_arm_holds_before_its_servo_switches_itself_off(fault: Fault, named: 
 )
 @pytest.mark.fault("S5", "S2")
 def test_what_the_driver_finds_holds_within_100_ms(fault: Fault, named: str) -> None:
-    left = CoupledRun(cell("duration_s=0.6"), [fault]).arms["left"]
+    left = CoupledRun(cell("duration_s=0.3"), [fault], ready_s=READY_S).arms["left"]
     assert left.summary is not None
     assert left.summary.mode is Mode.HOLD
     assert named in left.summary.reason
-    assert 0.3 < left.rows[left.rows["mode"] == Mode.HOLD]["t"][0] <= 0.4
+    assert 0.1 < left.rows[left.rows["mode"] == Mode.HOLD]["t"][0] <= 0.2
 
 
 def test_a_hold_of_a_monitor_is_replayed_from_the_rows_alone() -> None:
@@ -95,9 +96,9 @@ def test_a_hold_of_a_monitor_is_replayed_from_the_rows_alone() -> None:
 
 
 def test_a_dead_encoder_is_found_while_the_motion_asks_for_a_turn() -> None:
-    quick = cell("duration_s=1.1", "trajectory.period_s=2.5", "trajectory.ramp_s=0.2", "safety.noticing.enabled=false")
-    fault = Fault(kind=FaultKind.ENCODER_STUCK, arm="left", servo=2, start_s=0.5)
-    left = CoupledRun(quick, [fault]).arms["left"]
+    quick = cell("duration_s=0.6", "trajectory.period_s=2.5", "trajectory.ramp_s=0.2", "safety.noticing.enabled=false")
+    fault = Fault(kind=FaultKind.ENCODER_STUCK, arm="left", servo=2, start_s=0.3)
+    left = CoupledRun(quick, [fault], ready_s=READY_S).arms["left"]
     assert left.summary is not None
     assert "monitor frozen: reading of shoulder" in left.summary.reason
 
