@@ -106,7 +106,7 @@ def test_a_person_stops_at_the_object_and_nothing_is_dropped_and_a_start_of_befo
             Step(HALT, Verb.APPROACH, APPROACH),
             Step(APPROACH, Verb.GRASP, GRASP),
             Step(GRASP, nothing, READY),
-            Step(READY, Verb.STOP, HOLD, 0.5),
+            Step(READY, Verb.STOP, HOLD, 0.3),
             Step(HOLD, Verb.LOWER, LOWER),
             Step(LOWER, PhaseRun.interrupt, HOLD, 0.2),
             Step(HOLD, Verb.RELEASE, RELEASE),
@@ -137,7 +137,7 @@ def test_a_guard_goes_on_with_the_grip_and_leads_back_by_the_same_words() -> Non
         At.GRIPPED,
         [
             Step(READY, Verb.START, TRACK, 0.35),
-            Step(TRACK, lambda rig: rig.kill("left"), None, 0.5),
+            Step(TRACK, lambda rig: rig.kill("left"), None, 0.2),
             Step(TRACK, lambda rig: rig.interrupt("right"), HOLD, 0.05, ("right",)),
             Step(HOLD, lambda rig: held.append(list(rig.world.holding)), None, 0.3),
             Step(HOLD, Verb.LOWER, LOWER),
@@ -256,7 +256,7 @@ def test_a_fault_that_lasts_holds_once_and_does_not_stop_the_way_back() -> None:
             Step(READY, Verb.STOP, HOLD, 0.0, ("right",)),
             Step(HOLD, Verb.LOWER, LOWER),
             Step(LOWER, Verb.RELEASE, RELEASE),
-            Step(RELEASE, nothing, None, 0.4),
+            Step(RELEASE, nothing, None, 0.15),
         ],
         limit_s=4.0,
     )

@@ -25,8 +25,8 @@ from tests.unit.docs.test_first_carry import WORDS as SAID
 from tests.unit.replay.test_verify import verified
 
 QUICK = [
-    "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.03", "session.lift_m=0.015", "session.lift_s=0.8",
-    "session.lower_s=0.5", "session.take_up_s=0.3", "session.ease_s=0.3", "duration_s=1.0",
+    "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.03", "session.lift_m=0.015", "session.lift_s=0.6",
+    "session.lower_s=0.4", "session.take_up_s=0.2", "session.ease_s=0.2", "duration_s=0.75",
 ]  # fmt: skip
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", QUICK)
 STALL_CURRENT_SHARE = 0.4  # above it servos are reported to trip

@@ -17,7 +17,7 @@ from agent.log.read import LogError, RunLog, read_log
 from agent.log.scan import LogScan
 from tests.support.telemetry.log_maker import make_log
 
-BATCHES, COUNT = 6, 30
+BATCHES, COUNT = 6, 12
 
 
 @cache

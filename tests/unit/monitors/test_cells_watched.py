@@ -31,7 +31,7 @@ def load(name: str, *overrides: str) -> Cell:
 @pytest.mark.parametrize(("name", "seed"), [("two_wx200", 7), pytest.param("three_wx250s", 8, marks=LONG)])
 def test_a_cell_within_its_tolerance_trips_no_monitor(name: str, seed: int) -> None:
     cell = load(name, "simulation.ready_s=2.0")
-    seen = watched(cell, 2.5, reality=draw(cell.tolerance, seed, cell))
+    seen = watched(cell, 1.5, reality=draw(cell.tolerance, seed, cell))
     assert seen.first == {}
     assert all(place.mode is Mode.TRACK for place in seen.places)
 
@@ -53,7 +53,7 @@ def test_arms_whose_friction_grows_with_the_load_trip_nothing_at_rest(tmp_path: 
 def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: float) -> None:
     cell = load("two_wx200", "simulation.ready_s=2.0")
     wrong = ArmReality(friction=factor, torque_constant=(factor,) * 3)
-    seen = watched(cell, 3.0, reality=Reality(arms={"left": wrong}))
+    seen = watched(cell, 2.0, reality=Reality(arms={"left": wrong}))
     assert seen.first == {}
     assert all(place.mode is Mode.TRACK for place in seen.places)
 
@@ -84,7 +84,7 @@ def test_g6_a_wrong_gravity_is_refused_before_the_start(
 @pytest.mark.fault("G6")
 def test_g6_another_arm_than_the_files_is_refused_before_the_start() -> None:
     heavy = Reality(arms={name: ArmReality(masses=2.0) for name in ("left", "right")})
-    seen = watched(load("two_wx200"), 0.1, reality=heavy)
+    seen = watched(load("two_wx200", "simulation.ready_s=2.0"), 0.1, reality=heavy)
     assert seen.names == {Name.GRAVITY}
 
 
