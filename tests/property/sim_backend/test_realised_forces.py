@@ -12,7 +12,7 @@ from drivers.interface import Vector
 from tests.support.plant.inprocess import simulate
 
 AT_REST = ("trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
-SECONDS = 6.0
+SECONDS = 4.0
 
 
 def grasp_wrenches(*overrides: str) -> Vector:
