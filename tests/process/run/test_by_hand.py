@@ -25,9 +25,11 @@ from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.command import coop
 from tests.support.documents import ROOT
+from tests.support.loaded import Loaded
 from tests.support.ports import free_port
 
 PAPER = configs.CELLS_DIR / "paper.toml"
+Process = subprocess.Popen[str] | Loaded
 HEAVY = ("pinocchio", "scipy", "matplotlib")
 SECONDS, ROWS = 0.5, 100
 LONG_S = 300.0  # of a run that is to be stopped before its end
@@ -56,9 +58,15 @@ class Host:
         self.runtime = environment.get("XDG_RUNTIME_DIR", "")
         self._environment = {k: v for k, v in os.environ.items() if k not in ("XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY")}
         self._environment |= environment
-        self._processes: list[subprocess.Popen[str]] = []
+        self._processes: list[Process] = []
 
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
+    def start(self, *arguments: str) -> Loaded:
+        process = Loaded(*arguments, cwd=self.folder, env=self._environment)
+        self._processes.append(process)
+        return process
+
+    def start_anew(self, *arguments: str) -> subprocess.Popen[str]:
+        """Which says at its end what it has loaded."""
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, *arguments], cwd=self.folder, env=self._environment,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -103,14 +111,14 @@ def cell_named(name: str, folder: Path, duration_s: float = SECONDS) -> str:
     return str(path)
 
 
-def ready(process: subprocess.Popen[str]) -> str:
+def ready(process: Process) -> str:
     assert process.stdout is not None
     line = process.stdout.readline()
     assert line.startswith("READY "), process.communicate()
     return line
 
 
-def ended(process: subprocess.Popen[str]) -> str:
+def ended(process: Process) -> str:
     """The words of a process that ends well."""
     _, words = process.communicate(timeout=90)
     assert process.returncode == 0, words
@@ -119,19 +127,19 @@ def ended(process: subprocess.Popen[str]) -> str:
 
 def test_a_run_by_hand_needs_no_path_and_loads_no_solver_where_none_is_used(session: Host) -> None:
     cell = cell_named("paper", session.folder)
-    recorder = session.start("record", cell, "--listen", "tcp/127.0.0.1:0")
+    recorder = session.start_anew("record", cell, "--listen", "tcp/127.0.0.1:0")
     plant = session.start("plant", cell)
     endpoint = values_of(ready(recorder))["endpoint"]
     ready(plant)
     telemetry = [
-        session.start("telemetry", cell, "--member", member, "--connect", endpoint, "--lockstep")
+        session.start_anew("telemetry", cell, "--member", member, "--connect", endpoint, "--lockstep")
         for member in ("plant", "left", "right")
     ]
     for process in telemetry:
         ready(process)
     agents = [session.start("agent", cell, "--arm", arm) for arm in ("left", "right")]
-    for process in (*agents, plant):
-        ended(process)
+    for simulated in (*agents, plant):
+        ended(simulated)
     light = [ended(process) for process in telemetry]
     recorder.terminate()
     light.append(ended(recorder))
@@ -188,7 +196,7 @@ def test_an_arm_that_waits_for_the_others_ends_in_order_by_a_signal_by_a_word_an
     plant = session.start("plant", cell)
     ready(plant)
 
-    def waiting() -> subprocess.Popen[str]:
+    def waiting() -> Loaded:
         agent = session.start("agent", cell, "--arm", "left")
         ready(agent)
         assert "torque=on" in ready(agent)
