@@ -12,6 +12,7 @@ from _pytest.runner import runtestprotocol
 
 from agent.log.read import RunLog, read_log
 from tests.conftest import MADE_AGAIN
+from tests.support import loaded
 from tests.support.coop import coop
 from tests.support.once import once
 from tests.support.stalls import ATTEMPTS, Kernel, crowded, stalled_in
@@ -86,7 +87,7 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> RunOf:
             stalls: list[str] = []
             for attempt in range(attempts):  # a machine that stalls may end a run in real time; a defect ends all
                 kernel = Kernel()
-                done = coop("run", *words, "--out", "out", *(("--force",) if attempt else ()), cwd=folder)
+                done = loaded.coop("run", *words, "--out", "out", *(("--force",) if attempt else ()), cwd=folder)
                 if done.returncode == 0:
                     return
                 stalls.append((stalled_in(folder / "out" / "run.mcap") or kernel.accuses()) if attempts > 1 else "")

@@ -22,14 +22,23 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
+from runpy import run_module
 from typing import IO, Any, Final
 
 from agent.host.starting import SETTINGS
 from agent.process.entry import load
 
 SOURCE: Final = Path(__file__).parents[2]
+TIMEOUT_S: Final = 240.0  # less than a test's own
 MODULES: Final = ("agent.cli.main", "agent.process.run", "agent.process.guard", "agent.process.recorder")
 WORDS_MAX: Final = 100_000  # bytes of a command with its environment
+
+
+def coop(*arguments: str | Path | float, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end."""
+    process = Loaded(*arguments, cwd=cwd)
+    out, err = process.communicate(TIMEOUT_S)
+    return subprocess.CompletedProcess(["coop", *map(str, arguments)], process.wait(), out, err)
 
 
 class Loaded:
@@ -41,8 +50,12 @@ class Loaded:
         cwd: Path | None = None,
         env: Mapping[str, str] | None = None,
         stderr: IO[str] | None = None,
+        module: str = "agent.cli",
     ) -> None:
-        """env: its whole environment, else that of this process; stderr: where its words go, else a pipe."""
+        """env: its whole environment, else that of this process; stderr: where its words go, else a pipe.
+
+        module: what `python -m` would run instead of the command.
+        """
         self.returncode: int | None = None
         with contextlib.ExitStack() as theirs:
             (out, out_end), (words, words_end), (self._ended, code_end) = os.pipe(), os.pipe(), os.pipe()
@@ -50,7 +63,7 @@ class Loaded:
                 theirs.callback(os.close, end)
             self.stdout, self.stderr = os.fdopen(out), os.fdopen(words)
             begun = {
-                "arguments": [*map(str, arguments)], "cwd": str(cwd or Path.cwd()),
+                "module": module, "arguments": [*map(str, arguments)], "cwd": str(cwd or Path.cwd()),
                 "env": dict(os.environ if env is None else env),
             }  # fmt: skip
             ends = [out_end, words_end if stderr is None else stderr.fileno(), code_end]
@@ -172,7 +185,7 @@ def _become(begun: dict[str, Any], ends: list[int]) -> None:
     os.chdir(begun["cwd"])
     os.environ.clear()
     os.environ.update(begun["env"])
-    sys.argv = ["coop", *begun["arguments"]]
+    sys.argv = [begun["module"], *begun["arguments"]]
 
 
 if __name__ == "__main__":
@@ -181,7 +194,5 @@ if __name__ == "__main__":
     with socket.socket(fileno=int(sys.argv[1])) as whoever:
         asked = _asked(whoever)
     if asked is not None:
-        from agent.cli.__main__ import main
-
         _become(*asked)
-        main()
+        run_module(asked[0]["module"], run_name="__main__", alter_sys=True)

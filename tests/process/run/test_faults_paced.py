@@ -11,9 +11,9 @@ from agent.log.read import read_log
 from agent.modes import Mode
 from agent.process.arranged import REASON
 from agent.telemetry.row.sample import MAX_JOINTS
-from tests.support.coop import coop
+from tests.support.loaded import coop
 
-HELD_S, LIMP_S, SOON_S = 1.2, 1.8, 0.06
+HELD_S, LIMP_S, END_S, SOON_S = 0.5, 0.8, 1.2, 0.06
 FAULTS = f"{{kind='hold', arm='right', at_s={HELD_S}}}, {{kind='limp', arm='left', at_s={LIMP_S}}}"
 
 
@@ -21,7 +21,7 @@ FAULTS = f"{{kind='hold', arm='right', at_s={HELD_S}}}, {{kind='limp', arm='left
 @pytest.mark.parametrize("kind", ["--real-time", "--wire"])
 def test_faults_come_at_their_instant_from_the_common_start(tmp_path: Path, kind: str) -> None:
     coop(
-        "run", "two_wx200", kind, "--no-report", "--duration", 2.5, "--out", tmp_path / "out",
+        "run", "two_wx200", kind, "--no-report", "--duration", END_S + 0.1, "--out", tmp_path / "out",
         "--set", f"simulation.fault=[{FAULTS}]", "--set", "simulation.ready_s=1.0",
     )  # fmt: skip
     log = read_log(tmp_path / "out" / "run.mcap")
@@ -29,13 +29,13 @@ def test_faults_come_at_their_instant_from_the_common_start(tmp_path: Path, kind
     assert rows is not None
     held_s = right["t"][right["mode"] == Mode.HOLD]
     assert HELD_S < held_s[0] < HELD_S + SOON_S
-    assert held_s[-1] > 2.4, "to the end"
+    assert held_s[-1] > END_S, "to the end"
     assert [event.source for event in log.events if event.text == REASON] == ["right"]
     following = right[right["mode"] == Mode.TRACK]
     zero_ns = int(following["utc_ns"][0]) - round(float(following["t"][0]) * 1e9)
     t = (rows["utc_ns"].astype(np.int64) - zero_ns) * 1e-9
     left, other = rows["tau_applied"][:, :3], rows["tau_applied"][:, MAX_JOINTS : MAX_JOINTS + 3]
-    before, after = (t > 0.1) & (t < LIMP_S - SOON_S), (t > LIMP_S + SOON_S) & (t < 2.4)
+    before, after = (t > 0.1) & (t < LIMP_S - SOON_S), (t > LIMP_S + SOON_S) & (t < END_S)
     assert np.abs(left[before]).max(axis=1).min() > 0.05
     assert not left[after].any()
     assert np.abs(other[before | after]).max(axis=1).min() > 0.05

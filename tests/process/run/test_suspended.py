@@ -21,6 +21,7 @@ from agent.operator.table import Verb
 from agent.process import recorder
 from tests.support.coop import PAPER, TIMEOUT_S, ready, start
 from tests.support.few import long
+from tests.support.loaded import Loaded
 from tests.support.terminal import CTRL_Z, Terminal
 
 ARMS = ("left", "right")
@@ -53,9 +54,9 @@ def test_a_process_of_a_cell_ends_in_order(session: Path, words: tuple[Any, ...]
 
 
 def test_an_agent_holds_its_arm(session: Path) -> None:
-    plant = start("plant", PAPER, "--real-time", cwd=session)
-    ready(plant)
-    other = start("agent", PAPER, "--arm", "right", "--real-time", "--hold", cwd=session)
+    plant = Loaded("plant", PAPER, "--real-time", cwd=session)
+    assert plant.stdout.readline().startswith("READY")
+    other = Loaded("agent", PAPER, "--arm", "right", "--real-time", "--hold", cwd=session)
     controls = {arm: [session / "coop" / "paper" / f"{arm}.control"] for arm in ARMS}
     try:
         with Terminal("agent", PAPER, "--arm", "left", "--real-time", "--hold", folder=session) as terminal:

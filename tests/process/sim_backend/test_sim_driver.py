@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.loaded import Loaded
 from tests.support.plant.sim_process import LISTENING
 
 ENOUGH = 1_000_000  # cycles of a run that the test ends
@@ -25,25 +24,19 @@ class Cell:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self.socket = directory / "plant.sock"
-        self._processes: list[subprocess.Popen[str]] = []
+        self._processes: list[Loaded] = []
 
-    def start(self, *arguments: object) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.plant.sim_process", *map(str, arguments)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+    def start(self, *arguments: object) -> Loaded:
+        process = Loaded(*map(str, arguments), module="tests.support.plant.sim_process")
         self._processes.append(process)
         return process
 
-    def plant(self) -> subprocess.Popen[str]:
+    def plant(self) -> Loaded:
         process = self.start("plant", self.socket)
-        assert process.stdout is not None
         assert process.stdout.readline().strip() == LISTENING
         return process
 
-    def agents(self, cycles: int, *more: float) -> tuple[subprocess.Popen[str], subprocess.Popen[str]]:
+    def agents(self, cycles: int, *more: float) -> tuple[Loaded, Loaded]:
         left, right = (
             self.start("agent", self.socket, arm, cycles, self.directory / arm, *more) for arm in ("left", "right")
         )
@@ -68,10 +61,10 @@ class Cell:
             process.communicate()
 
 
-def end(process: subprocess.Popen[str]) -> tuple[int, str]:
+def end(process: Loaded) -> tuple[int, str]:
     """Exit code and last words."""
     _, words = process.communicate(timeout=PROCESS_S)
-    return process.returncode, words
+    return process.wait(), words
 
 
 @pytest.fixture

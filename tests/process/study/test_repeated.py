@@ -19,7 +19,7 @@ from agent.study.measure import measure
 from agent.study.study import worst_cell
 from agent.telemetry.row.sample import MAX_JOINTS
 from sim_backend.physics.plant import Observation
-from tests.support.coop import coop
+from tests.support.loaded import coop
 from tests.support.study import cell
 
 STRUCK = (("hold", "right", 0.201), ("locked", "left", 0.25), ("limp", "right", 0.3), ("open", "left", 0.402))

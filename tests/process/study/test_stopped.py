@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
 import time
 from pathlib import Path
 
@@ -12,15 +11,15 @@ import psutil
 import pytest
 
 from tests.support.command import coop
-from tests.support.coop import start
 from tests.support.few import few
+from tests.support.loaded import Loaded
 from tests.support.study import cell_file
 
 
-def under_way(folder: Path, runs: int) -> tuple[subprocess.Popen[str], Path]:
+def under_way(folder: Path, runs: int) -> tuple[Loaded, Path]:
     """A study of many short runs, some of which are finished."""
     out = folder / "out"
-    study = start("study", cell_file(folder), "--runs", runs, "--workers", 2, "--out", out, cwd=folder)
+    study = Loaded("study", cell_file(folder), "--runs", runs, "--workers", 2, "--out", out, cwd=folder)
     deadline = time.monotonic() + 60.0
     lines = 0
     while lines < 3:
