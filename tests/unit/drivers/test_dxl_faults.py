@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -22,6 +23,7 @@ from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.options import BusOptions, ServoOptions, SilentPredecessor, WatchdogFeed
 from sim_backend.wire.timing import BusTiming
 from tests.support.few import few
+from tests.support.servos.copied_rig import copied
 from tests.support.servos.dxl_rig import WX200, XL, Rig, at, build, enabled
 
 PERIOD_NS = 5_000_000
@@ -67,10 +69,29 @@ def cycles(rig: Rig, count: int, tau=TAU, *, until=None, step_ns: int = 0) -> li
     return done
 
 
+BEGUN: dict[str, Rig] = {}  # of which each test has a copy
+
+
+@pytest.fixture(scope="module", autouse=True)
+def begun() -> Iterator[None]:
+    warm()
+    yield
+    BEGUN.clear()
+
+
+def ready(**more) -> Rig:
+    """An arm ready for the cycle; more: what is other about it."""
+    if (key := f"ready {more}") not in BEGUN:
+        BEGUN[key] = enabled(timing=WIRE, **more)
+    return copied(BEGUN[key])
+
+
 def warm(**more) -> Rig:
-    rig = enabled(timing=WIRE, **more)
-    assert all(c.error is None for c in cycles(rig, 20))
-    return rig
+    """The same some cycles on."""
+    if (key := f"warm {more}") not in BEGUN:
+        BEGUN[key] = rig = ready(**more)
+        assert all(c.error is None for c in cycles(rig, 20))
+    return copied(BEGUN[key])
 
 
 def fresh_is_fresh(done: list[Cycle]) -> None:
@@ -82,7 +103,7 @@ def fresh_is_fresh(done: list[Cycle]) -> None:
 
 
 def test_a_healthy_arm_never_complains():
-    rig = enabled(timing=WIRE)
+    rig = ready()
     done = cycles(rig, 400, 0.3 * TAU)
     assert [c for c in done if c.error is not None] == []
     fresh_is_fresh(done)
@@ -95,7 +116,7 @@ def test_a_healthy_arm_never_complains():
 @pytest.mark.parametrize(("kind", "rate_hz"), [(FaultKind.CORRUPT, 200.0), (FaultKind.DROP, 100.0)])
 @pytest.mark.fault("B1")
 def test_one_lost_reply_is_asked_for_again_where_the_period_has_room(kind, rate_hz):
-    rig = enabled(at(WX200, rate_hz=rate_hz), timing=WIRE)
+    rig = ready(arm=at(WX200, rate_hz=rate_hz))
     cycles(rig, 20, 0.2 * TAU)
     rig.fault(kind, 6, duration_s=1.0 / rate_hz + 0.0005)  # over when the servo is asked again
     done = cycles(rig, 5, 0.2 * TAU)
@@ -140,7 +161,7 @@ def test_replies_lost_at_random_leave_only_fresh_values():
 @pytest.mark.parametrize("firmware", [46, 44])
 @pytest.mark.fault("B7")
 def test_answers_to_earlier_cycles_are_never_a_state(delay_ms, firmware):
-    rig = enabled(timing=WIRE, firmware=firmware)
+    rig = ready(firmware=firmware)
     cycles(rig, 20)
     rig.fault(FaultKind.DELAY, delay_ms=delay_ms)
     done = cycles(rig, 40, until=DxlServoFault)
@@ -152,7 +173,7 @@ def test_answers_to_earlier_cycles_are_never_a_state(delay_ms, firmware):
 @pytest.mark.parametrize("firmware", [46, 44])
 @pytest.mark.fault("B7")
 def test_one_servo_a_cycle_late_is_never_a_state(servo_id, firmware):
-    rig = enabled(timing=WIRE, firmware=firmware)
+    rig = ready(firmware=firmware)
     cycles(rig, 20)
     rig.fault(FaultKind.DELAY, servo_id, delay_ms=5.0)
     done = cycles(rig, 20, until=DxlServoFault)
@@ -254,7 +275,7 @@ def test_lost_torque_is_a_fault_within_fifty_milliseconds(servo_id):
 @pytest.mark.parametrize("step_ms", [2.1, 2.5])
 def test_lost_torque_is_found_too_where_the_host_leaves_no_gap_a_question_fits_in(step_ms: float) -> None:
     """No state is missed."""
-    rig = enabled(timing=WIRE)
+    rig = ready()
     healthy = cycles(rig, 100, 0.0 * TAU, step_ns=round(step_ms * 1e6))
     assert all(cycle.error is None for cycle in healthy)
     assert rig.driver.counters.timeouts == rig.driver.counters.late == 0
@@ -515,7 +536,7 @@ def test_an_error_bit_that_a_dip_of_the_supply_has_left_hides_no_heat_no_supply_
 
 
 def test_old_firmware_falls_back_to_plain_sync_read_and_says_so_once():
-    rig = enabled(timing=WIRE, firmware=44)
+    rig = ready(firmware=44)
     assert rig.kinds().count("SLOW_SYNC_READ") == 1
     assert all(c.error is None for c in cycles(rig, 50))
     assert rig.kinds().count("SLOW_SYNC_READ") == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.interface import DriverError, Recovering, ServoFault, StaleStateError
 from sim_backend.wire.drive import Stop
 from sim_backend.wire.faults import FaultKind
-from tests.support.servos.dxl_rig import WX200, build, enabled, loses
+from tests.support.servos.copied_rig import copied
+from tests.support.servos.dxl_rig import WX200, Rig, build, enabled, loses
 
 PING, READ, SYNC_READ, FAST_SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x82, 0x8A, 0x83
 ASKING = {PING, READ, SYNC_READ, FAST_SYNC_READ}
@@ -33,8 +35,27 @@ def rest(rig: Any, seconds: float) -> None:
     rig.clock.sleep_until(rig.clock.now_ns() + round(1e9 * seconds))
 
 
+BEGUN: dict[str, Rig] = {}  # of which each test has a copy
+
+
+@pytest.fixture(scope="module", autouse=True)
+def begun() -> Iterator[None]:
+    BEGUN.update(working=_working(), tripped=_tripped())
+    yield
+    BEGUN.clear()
+
+
 def working() -> Any:
     """An arm that has been commanded for a while."""
+    return copied(BEGUN["working"])
+
+
+def tripped() -> Any:
+    """The same after its watchdogs have fired, and as the driver has noticed."""
+    return copied(BEGUN["tripped"])
+
+
+def _working() -> Rig:
     rig = enabled()
     for _ in range(20):
         rig.driver.read()
@@ -45,9 +66,8 @@ def working() -> Any:
     return rig
 
 
-def tripped() -> Any:
-    """The same after its watchdogs have fired, and as the driver has noticed."""
-    rig = working()
+def _tripped() -> Rig:
+    rig = _working()
     rest(rig, 0.25)
     for _ in range(20):
         with contextlib.suppress(DxlServoFault):

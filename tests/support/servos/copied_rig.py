@@ -1,0 +1,24 @@
+"""Copies of an emulated arm with its driver: to bring one up is most of a short test in virtual time."""
+
+from __future__ import annotations
+
+import copy
+import copyreg
+import struct
+from types import MappingProxyType
+
+from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.table import REGISTERS
+from tests.support.servos.dxl_rig import Rig
+
+copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))
+copyreg.pickle(MappingProxyType, lambda made: (MappingProxyType, (dict(made),)))
+
+
+def copied(rig: Rig) -> Rig:
+    """The same arm, driver and instant, of which nothing that changes is shared; its events are its own, too."""
+    events = list(rig.events)
+    constants = (rig.arm, *SERVOS.values(), *REGISTERS, *rig.driver.faults)
+    kept = {id(constant): constant for constant in constants}
+    found: Rig = copy.deepcopy(rig, {**kept, id(rig.events): events, id(rig.driver._on_event): events.append})
+    return found
