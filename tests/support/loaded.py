@@ -49,10 +49,10 @@ class Loaded:
         *arguments: str | Path | float,
         cwd: Path | None = None,
         env: Mapping[str, str] | None = None,
-        stderr: IO[str] | None = None,
+        stdout: int | None = None,
         module: str = "agent.cli",
     ) -> None:
-        """env: its whole environment, else that of this process; stderr: where its words go, else a pipe.
+        """env: its whole environment, else that of this process; stdout: a descriptor, else a pipe.
 
         module: what `python -m` would run instead of the command.
         """
@@ -66,7 +66,7 @@ class Loaded:
                 "module": module, "arguments": [*map(str, arguments)], "cwd": str(cwd or Path.cwd()),
                 "env": dict(os.environ if env is None else env),
             }  # fmt: skip
-            ends = [out_end, words_end if stderr is None else stderr.fileno(), code_end]
+            ends = [out_end if stdout is None else stdout, words_end, code_end]
             asks = _loader(os.getpid())
             socket.send_fds(asks, [json.dumps(begun).encode()], ends)
         self.pid = int(asks.recv(WORDS_MAX))

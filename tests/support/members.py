@@ -8,8 +8,10 @@ import time
 
 import psutil
 
+from tests.support.loaded import Loaded
 
-def member(name: str, run: subprocess.Popen[str], timeout_s: float = 30.0) -> psutil.Process:
+
+def member(name: str, run: subprocess.Popen[str] | Loaded, timeout_s: float = 30.0) -> psutil.Process:
     """The process of `run` that is called so, once it is there."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline and run.poll() is None:

@@ -14,6 +14,7 @@ import configs
 from tests.support.command import coop as line
 from tests.support.coop import PAPER, TIMEOUT_S
 from tests.support.few import long
+from tests.support.loaded import Loaded
 
 COOP = [sys.executable, "-m", "agent.cli"]
 SHORT = ("run", str(configs.CELLS_DIR / "paper.toml"), "--duration", "1")  # ends within the transient
@@ -67,9 +68,8 @@ def test_a_command_whose_output_nobody_reads_ends_with_its_own_code(words: tuple
     reader, writer = os.pipe()
     os.close(reader)
     try:
-        done = subprocess.run(
-            [*COOP, words[0], PAPER, *words[1:]], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=TIMEOUT_S
-        )
+        done = Loaded(words[0], PAPER, *words[1:], stdout=writer)
+        _, err = done.communicate(TIMEOUT_S)
     finally:
         os.close(writer)
-    assert (done.returncode, done.stderr) == (code, "")
+    assert (done.returncode, err) == (code, "")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import re
 import subprocess
 import sys
@@ -28,7 +27,7 @@ from drivers.clock import MonotonicClock
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.identify import IdentityError
 from tests.support.command import coop
-from tests.support.coop import COOP
+from tests.support.loaded import Loaded
 from tests.support.servos.motor_emulator import loose_servos
 from tests.support.servos.patience import PATIENT_COOP, be_patient
 
@@ -275,20 +274,19 @@ def test_a_missing_servo_is_one_line_and_exit_code_1(three: Path, tmp_path: Path
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """`coop emulate` of the wx200 cell, which the doctor only looks at; yields the folder of its ports."""
     folder = tmp_path_factory.mktemp("emulated")
-    place = ["--ports", folder / "ports", "--ring", folder / "plant.ring"]
-    command = [*COOP, "emulate", TWO_WX200, *place, "--with-parent", str(os.getpid())]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as emulator:
-        try:
-            assert emulator.stdout is not None
-            assert emulator.stdout.readline().startswith("READY")
-            deadline = time.monotonic() + SEARCH_S
-            while not (folder / "ports" / "right").exists():
-                assert time.monotonic() < deadline
-                time.sleep(0.01)
-            yield folder / "ports"
-        finally:
-            emulator.terminate()
-            assert emulator.wait(SEARCH_S) == 0
+    place = ("--ports", folder / "ports", "--ring", folder / "plant.ring")
+    emulator = Loaded("emulate", TWO_WX200, *place, cwd=folder)
+    try:
+        assert emulator.stdout.readline().startswith("READY")
+        deadline = time.monotonic() + SEARCH_S
+        while not (folder / "ports" / "right").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        yield folder / "ports"
+    finally:
+        emulator.terminate()
+        emulator.communicate(SEARCH_S)
+        assert emulator.returncode == 0
 
 
 TIMED = {"read of all servos, measured", "overhead of each read", "read in its period", "replies"}

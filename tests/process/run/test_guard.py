@@ -94,7 +94,8 @@ main()
 class Host:
     """Emulated servos of two_wx200 and whoever is started beside them; all of them end with the test."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, loading: int = 2) -> None:
+        """loading: how many of guard and agent are begun at once."""
         self.folder = folder
         (folder / "session").mkdir()
         self.environment = {k: v for k, v in os.environ.items() if k != "RUNTIME_DIRECTORY"}
@@ -106,7 +107,7 @@ class Host:
         self.manager.bind(str(folder / "notify"))
         self.kept: int | None = None
         self.cell = folder / "cell.toml"
-        self.loading = [self._begun((sys.executable, "-c", LOADING), subprocess.PIPE) for _ in range(2)]
+        self.loading = [self._begun((sys.executable, "-c", LOADING), subprocess.PIPE) for _ in range(loading)]
 
     def start(
         self, *arguments: str | Path, prefix: tuple[str, ...] = (), program: tuple[str, ...] = COOP, **more: str
@@ -290,7 +291,7 @@ def test_an_agent_that_fails_by_an_error_is_held_for_and_says_why(host: Host) ->
 def test_an_agent_that_is_told_to_end_before_it_has_torque_ends_without_and_its_guard_has_nothing_to_hold(
     tmp_path: Path,
 ) -> None:
-    host = Host(tmp_path)
+    host = Host(tmp_path, loading=1)
     host.cell.write_text((configs.CELLS_DIR / "two_wx200.toml").read_text())
     try:
         host.start("emulate", host.cell, "--ports", tmp_path / "ports")

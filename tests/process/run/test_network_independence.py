@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import pickle
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,21 +15,18 @@ import pytest
 import zenoh
 from numpy.typing import NDArray
 
-from agent.config.cell import load_cell
-from agent.faults.heard import heard
 from agent.faults.judge import RowResult
-from agent.faults.listeners import rehearse_listeners
-from agent.faults.plan import Injection
 from agent.host.ready_line import values_of
 from agent.log.read import read_log
 from agent.telemetry.link.session import has_link
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.coop import PAPER, ready, start
-from tests.support.nobody import Nobody
+from tests.support.loaded import Loaded
 from tests.support.ports import free_port
 
 RUN_S = 0.6
+REHEARSED = "tests.support.rehearsed_listeners"
 COMPARED = [f.name for f in AGENT_STATE.fields if not f.timing and f.name != "config_id"]
 
 
@@ -109,16 +108,17 @@ def bereft(folder: Path) -> dict[str, NDArray[np.void]]:
         ("telemetry-off", {"arm": "left", "at_s": 0.2}),
         ("recorder-off", {"at_s": 0.2}),
     )
-    faults = [Injection(fault=fault, **given) for fault, given in deeds]
-    cell, endpoint = load_cell(Path(short_cell(folder))), f"tcp/127.0.0.1:{free_port()}"
+    endpoint, kept = f"tcp/127.0.0.1:{free_port()}", folder / "found.pickle"
     with flood(endpoint) as sent:
-        run = rehearse_listeners(cell, faults, 1, folder / "run.mcap", Nobody(), listen=endpoint)
+        run = Loaded(short_cell(folder), json.dumps(deeds), endpoint, kept, module=REHEARSED, cwd=folder)
+        _, err = run.communicate(timeout=90)
+        assert run.returncode == 0, err
     assert sent[0] > 1000
-    found = heard(run)
+    rows, found = pickle.loads(kept.read_bytes())
     assert found.verdict is RowResult.MET
     assert not found.complete
     assert all(found.kept[arm].logged <= 60 for arm in ("left", "right"))  # of 120: what came before 0.2 s at most
-    return {arm: run.rows[arm] for arm in ("left", "right")}
+    return {arm: rows[arm] for arm in ("left", "right")}
 
 
 def flooded(folder: Path) -> dict[str, NDArray[np.void]]:

@@ -26,7 +26,8 @@ from agent.process.run_folder import LOCK, PREFIX, run_folder
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.process.conftest import PAPER_RUN_S
 from tests.support.command import coop as line
-from tests.support.coop import COOP, PAPER, TIMEOUT_S, ready, start
+from tests.support.coop import COOP, PAPER, TIMEOUT_S, start
+from tests.support.loaded import Loaded
 from tests.support.members import member
 
 ROWS = 200 * PAPER_RUN_S
@@ -34,12 +35,11 @@ ARMS = ("arm-left", "arm-right")
 LISTENERS = ("recorder", "telemetry-left", "telemetry-right", "telemetry-plant")
 
 
-def ours(token: str) -> list[psutil.Process]:
-    """Processes of a run, found by a word of their command lines."""
+def ours(folder: Path) -> list[psutil.Process]:
+    """Processes of a run in this folder."""
     found = []
-    for process in psutil.process_iter(["cmdline"]):
-        line = " ".join(process.info["cmdline"] or [])
-        if ("agent.cli" in line or "agent.process" in line) and token in line and process.pid != os.getpid():
+    for process in psutil.process_iter(["cwd"]):
+        if process.info["cwd"] is not None and Path(process.info["cwd"]).is_relative_to(folder):
             found.append(process)
     return found
 
@@ -55,7 +55,7 @@ def is_used(folder: Path) -> bool:
     return False
 
 
-def wait_for_rows(out: Path, run: subprocess.Popen[str], timeout_s: float = 60.0) -> None:
+def wait_for_rows(out: Path, run: subprocess.Popen[str] | Loaded, timeout_s: float = 60.0) -> None:
     """Return when the run's log holds rows for certain."""
     deadline = time.monotonic() + timeout_s
     log = out / "run.mcap"
@@ -83,7 +83,7 @@ def left_clean(folder: Path) -> Iterator[Path]:
         return [left for left in set(Path("/dev/shm").glob("coop-*")) - before if not is_used(left)]
 
     deadline = time.monotonic() + 30
-    while any(found := (ours(str(folder)), unused())) and time.monotonic() < deadline:
+    while any(found := (ours(folder), unused())) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert found == ([], [])
 
@@ -188,7 +188,7 @@ def test_the_processes_of_a_run_are_copies_of_the_command_and_share_its_code(sto
 
 
 def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> None:
-    run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
+    run = Loaded("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
     wait_for_rows(nothing_left / "out", run)
     agent = member("arm-right", run)
     agent.kill()
@@ -201,7 +201,7 @@ def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> 
 
 
 def test_a_killed_run_takes_its_processes_with_it(nothing_left: Path) -> None:
-    run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
+    run = Loaded("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
     wait_for_rows(nothing_left / "out", run)
     children = psutil.Process(run.pid).children()
     (left,) = {Path(mapped.path).parent for mapped in member("plant", run).memory_maps() if PREFIX in mapped.path}
@@ -266,8 +266,8 @@ def test_a_second_run_into_the_same_folder_is_refused(paper_runs: tuple[Path, Pa
 
 def test_an_occupied_plant_socket_is_refused(nothing_left: Path) -> None:
     place = ["--socket", str(nothing_left / "p.sock"), "--ring", str(nothing_left / "p.ring")]
-    first = start("plant", PAPER, *place, cwd=nothing_left)
-    ready(first)
+    first = Loaded("plant", PAPER, *place, cwd=nothing_left)
+    assert first.stdout.readline().startswith("READY")
     second = line("plant", PAPER, "--socket", place[1], "--ring", str(nothing_left / "q.ring"), cwd=nothing_left)
     assert second.code != 0
     assert "p.sock" in second.err
