@@ -18,8 +18,8 @@ from tests.support.once import once
 from tests.support.plant.plant_arm import run_one
 from tests.support.telemetry.run_log import write_run
 
-CELL = load_cell(  # two of the three periods of its motion
-    configs.CELLS_DIR / "identify_wx200.toml", ("duration_s=40.0", "trajectory.motion_s=40.0")
+CELL = load_cell(  # half of its motion, which tells all apart; its period is 20 s
+    configs.CELLS_DIR / "identify_wx200.toml", ("duration_s=28.0", "trajectory.motion_s=28.0")
 )
 
 

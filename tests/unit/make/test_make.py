@@ -46,6 +46,12 @@ def wish(arms: list[str], mass: float, size: Vec3, motion: MotionWish = LIFT, he
     return Wish("mine", arm_wishes(arms), ObjectWish(mass, size), motion, height)
 
 
+@pytest.fixture
+def unhurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What reality may make of a cell takes a second, and is looked into where another test asks for its verdict."""
+    monkeypatch.setattr("agent.make.make.examine", lambda cell, **_: examine(cell, wired=True, thorough=False))
+
+
 CELLS = {
     "tray": wish(["wx250s", "wx250s"], 0.3, (0.3, 0.2, 0.02)),
     "bar": wish(["wx200", "wx200"], 0.1, (0.2, 0.03, 0.03), MotionWish(MotionKind.SINUSOID, (0.03, 0.0, 0.0), 8.0)),
@@ -105,7 +111,9 @@ def test_usual_gains_that_a_slow_loop_cannot_take_do_not_keep_others_from_being_
     assert Maker(SLOW).make().report.ok
 
 
-def test_what_gains_cannot_mend_is_said_before_they_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_gains_cannot_mend_is_said_before_they_are_searched(
+    unhurried: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(Tuner, "propose", lambda *_: pytest.fail("searched"))
     fast = replace(CELLS["mixed"], rate_hz=1500.0)
     with pytest.raises(WishError, match=r"rate on the servo bus .*lower rate_hz"):
@@ -225,7 +233,7 @@ def test_the_command_writes_a_file_that_check_accepts(tmp_path: Path, capsys: py
 
 
 def test_an_object_that_no_gripper_closes_on_is_warned_of_and_one_that_fits_is_not(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    unhurried: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for width, warned in (("0.03", True), ("0.04", False)):
         path = tmp_path / "cell.toml"
@@ -260,7 +268,7 @@ def test_a_vector_is_three_numbers() -> None:
         vector("1,2", "--by")
 
 
-def test_it_asks_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_asks_on_a_terminal(unhurried: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from typer.testing import CliRunner
 
     from agent.cli import make
@@ -275,7 +283,9 @@ def test_it_asks_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert [arm.file.model for arm in load_cell(path).arms] == ["wx200", "wx200"]
 
 
-def test_way_points_are_given_or_not_before_anything_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_way_points_are_given_or_not_before_anything_is_asked(
+    unhurried: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from typer.testing import CliRunner
 
     from agent.cli import make

@@ -37,6 +37,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def of_address(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Certificates of a recorder that is named by an address of six parts."""
+    folder = tmp_path_factory.mktemp("pki") / "cell"
+    make(Wish(CELL, folder, recorder="fd00::1", listen="::"))
+    return folder
+
+
+def named(recorder: Path) -> list[ipaddress.IPv4Address | ipaddress.IPv6Address]:
+    return [ipaddress.ip_address(host) for host in hosts(recorder / "zenoh/recorder.pem")]
+
+
 def openssl(*words: str | Path) -> str:
     return subprocess.run(["openssl", *map(str, words)], check=True, capture_output=True, text=True).stdout
 
@@ -155,14 +167,11 @@ def test_what_is_neither_a_name_nor_an_address_is_refused_before_anything_is_mad
     assert not list(tmp_path.iterdir())
 
 
-def test_an_address_of_six_parts_is_one_that_zenoh_reads_and_the_certificate_names(tmp_path: Path) -> None:
-    make(Wish(CELL, tmp_path / "cell", recorder="fd00::1", listen="::"))
-    recorder, left = (tmp_path / "cell" / name / "zenoh" for name in ("recorder", "left"))
+def test_an_address_of_six_parts_is_one_that_zenoh_reads_and_the_certificate_names(of_address: Path) -> None:
+    recorder, left = (of_address / name / "zenoh" for name in ("recorder", "left"))
     assert json.loads((recorder / "recorder.json5").read_text())["listen"]["endpoints"] == ["tls/[::]:7447"]
     assert json.loads((left / "left.json5").read_text())["connect"]["endpoints"] == ["tls/[fd00::1]:7447"]
-    assert [ipaddress.ip_address(host) for host in hosts(recorder / "recorder.pem")] == [
-        ipaddress.ip_address("fd00::1")
-    ]
+    assert named(of_address / "recorder") == [ipaddress.ip_address("fd00::1")]
 
 
 def test_an_openssl_that_does_not_end_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,15 +185,17 @@ def test_an_openssl_that_does_not_end_is_said(tmp_path: Path, monkeypatch: pytes
     assert [path.name for path in tmp_path.iterdir()] == ["openssl"]
 
 
-def test_a_renewed_member_has_another_key_for_the_same_host_and_the_others_theirs(tmp_path: Path) -> None:
-    make(Wish(CELL, tmp_path / "cell", recorder="10.0.0.9"))
-    before = {path: path.read_bytes() for path in (tmp_path / "cell").rglob("*") if path.is_file()}
-    renewed = renew(Wish(CELL, tmp_path / "cell", days=30), ["recorder"])
-    after = {path: path.read_bytes() for path in (tmp_path / "cell").rglob("*") if path.is_file()}
-    changed = {str(path.relative_to(tmp_path / "cell")) for path in after if after[path] != before.get(path)}
+def test_a_renewed_member_has_another_key_for_the_same_host_and_the_others_theirs(
+    of_address: Path, tmp_path: Path
+) -> None:
+    cell = Path(shutil.copytree(of_address, tmp_path / "cell"))
+    before = {path: path.read_bytes() for path in cell.rglob("*") if path.is_file()}
+    renewed = renew(Wish(CELL, cell, days=30), ["recorder"])
+    after = {path: path.read_bytes() for path in cell.rglob("*") if path.is_file()}
+    changed = {str(path.relative_to(cell)) for path in after if after[path] != before.get(path)}
     assert changed == {"recorder/zenoh/recorder.pem", "recorder/keys/recorder.pem"}
-    assert hosts(tmp_path / "cell/recorder/zenoh/recorder.pem") == ("10.0.0.9",)
-    assert (tmp_path / "cell/recorder/keys/recorder.pem").stat().st_mode & 0o777 == 0o600
+    assert named(cell / "recorder") == [ipaddress.ip_address("fd00::1")]
+    assert (cell / "recorder/keys/recorder.pem").stat().st_mode & 0o777 == 0o600
     assert renewed["recorder"] < renewed["left"]
 
 
