@@ -33,9 +33,27 @@ def of(folder: Path, member: str) -> Network:
     return Network(config_file=folder / member / "zenoh" / f"{member}.json5")
 
 
-def cell_of(folder: Path, port: int) -> Path:
+PORT = 7447
+CellOf = Callable[[Path, int], Path]
+
+
+def made(folder: Path, port: int) -> Path:
+    """Another authority's."""
     make(Wish(FILES, folder, "localhost", "127.0.0.1", port, in_place=True))
     return folder
+
+
+@pytest.fixture(scope="module")
+def cell_of(tmp_path_factory: pytest.TempPathFactory) -> CellOf:
+    """Copies of one set of certificates, for a place and a port."""
+    first = made(tmp_path_factory.mktemp("certificates") / "cell", PORT)
+
+    def copy(folder: Path, port: int) -> Path:
+        for path in copy_of(first, folder).glob("*/zenoh/*.json5"):
+            path.write_text(path.read_text().replace(f":{PORT}", f":{port}"))
+        return folder
+
+    return copy
 
 
 def copy_of(cell: Path, folder: Path) -> Path:
@@ -87,14 +105,14 @@ def forge(network: Network, *, may_connect: bool) -> None:
 
 
 @pytest.mark.fault("N3")
-def test_only_the_arm_itself_gets_into_the_log(tmp_path: Path) -> None:
+def test_only_the_arm_itself_gets_into_the_log(tmp_path: Path, cell_of: CellOf) -> None:
     port = free_port()
     cell = cell_of(tmp_path / "cell", port)
     ring = tmp_path / "left.ring"
     with recorder(tmp_path / "run.mcap", arms=LEFT, network=of(cell, "recorder")) as rec:
         rec.ready()
         forge(Network(connect=(f"tcp/127.0.0.1:{port}",)), may_connect=False)
-        forge(of(cell_of(tmp_path / "other", port), "left"), may_connect=False)
+        forge(of(made(tmp_path / "other", port), "left"), may_connect=False)
         forge(of(expired(cell, tmp_path / "old"), "left"), may_connect=False)
         forge(of(with_key_of_right(cell, tmp_path / "swapped"), "left"), may_connect=False)
         forge(of(cell, "right"), may_connect=True)
@@ -108,7 +126,7 @@ def test_only_the_arm_itself_gets_into_the_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.fault("N4")
-def test_an_expired_certificate_costs_no_row_once_it_is_renewed(tmp_path: Path) -> None:
+def test_an_expired_certificate_costs_no_row_once_it_is_renewed(tmp_path: Path, cell_of: CellOf) -> None:
     cell = cell_of(tmp_path / "cell", free_port())
     ring, count = tmp_path / "left.ring", 900
     renew(Wish(FILES, cell, days=0), ["left"])
@@ -128,7 +146,9 @@ def test_an_expired_certificate_costs_no_row_once_it_is_renewed(tmp_path: Path) 
 
 
 @pytest.mark.fault("N4")
-def test_a_recorder_comes_back_with_its_certificate_renewed_and_no_arms_telemetry_is_touched(tmp_path: Path) -> None:
+def test_a_recorder_comes_back_with_its_certificate_renewed_and_no_arms_telemetry_is_touched(
+    tmp_path: Path, cell_of: CellOf
+) -> None:
     cell = cell_of(tmp_path / "cell", free_port())
     ring, count = tmp_path / "left.ring", 400
     renew(Wish(FILES, cell, days=0), ["recorder"])
@@ -174,7 +194,7 @@ def no_authority(cell: Path) -> None:
     ],
 )
 def test_an_arms_files_that_cannot_be_used_are_named_before_it_dials(
-    tmp_path: Path, spoil: Callable[[Path], None], found: str
+    tmp_path: Path, cell_of: CellOf, spoil: Callable[[Path], None], found: str
 ) -> None:
     cell = cell_of(tmp_path / "cell", free_port())
     with open_session(of(cell, "left")):

@@ -52,7 +52,7 @@ def test_a_locked_agent_has_no_major_fault_and_no_collection_under_memory_pressu
 
 
 @pytest.mark.skipif(not fifo_granted(), reason="this host gives no real-time priority")
-@pytest.mark.parametrize("priority", [1, 80])
+@pytest.mark.parametrize("priority", [pytest.param(1, marks=pytest.mark.long), 80])
 def test_an_agent_locks_its_memory_before_the_unit_counts_the_time_that_it_does_not_sleep(priority: int) -> None:
     """LimitRTTIME of the shipped units; to lock what an agent has loaded takes longer."""
     code = (

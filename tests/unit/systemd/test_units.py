@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -31,16 +33,30 @@ AGENT_DROP_IN = "coop-agent@.service.d/50-several-hosts.conf"
 NETWORKLESS = ("coop-agent@left", "coop-guard@left", "coop-rings", "coop-plant")
 
 
-@pytest.fixture
-def host(tmp_path: Path) -> Path:
-    install(tmp_path)
-    return tmp_path
+On = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def on(tmp_path_factory: pytest.TempPathFactory) -> On:
+    """The host on which these choices were installed; what changes one makes its own."""
+
+    @functools.cache
+    def installed(*choices: str) -> Path:
+        root = tmp_path_factory.mktemp("host")
+        install(root, *choices)
+        return root
+
+    return installed
 
 
 @pytest.fixture
-def simulated_host(tmp_path: Path) -> Path:
-    install(tmp_path, "simulated")
-    return tmp_path
+def host(on: On) -> Path:
+    return on()
+
+
+@pytest.fixture
+def simulated_host(on: On) -> Path:
+    return on("simulated")
 
 
 @pytest.mark.parametrize("name", NETWORKLESS)
@@ -61,22 +77,18 @@ def test_only_the_guard_reaches_a_device(host: Path, name: str) -> None:
     assert "dialout" not in words(unit, "SupplementaryGroups")
 
 
-def test_the_guard_reaches_usb_serial_adapters_and_nothing_else(
-    host: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_the_guard_reaches_usb_serial_adapters_and_nothing_else(host: Path, simulated_host: Path) -> None:
     guard = read_unit(host, "coop-guard@left")
     assert guard["DeviceAllow"] == ["char-ttyUSB rw", "char-ttyACM rw"]
     assert one(guard, "DevicePolicy") == "closed"
     assert words(guard, "SupplementaryGroups") == {"dialout"}
-    simulated = tmp_path_factory.mktemp("simulated")
-    install(simulated, "simulated")
-    assert not read_unit(simulated, "coop-guard@left")["DeviceAllow"]
+    assert not read_unit(simulated_host, "coop-guard@left")["DeviceAllow"]
 
 
 @pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
-def test_agent_and_guard_meet_and_the_guard_is_there_first_and_last(tmp_path: Path, choices: tuple[str, ...]) -> None:
-    install(tmp_path, *choices)
-    agent, guard = (read_unit(tmp_path, name) for name in ("coop-agent@left", "coop-guard@left"))
+def test_agent_and_guard_meet_and_the_guard_is_there_first_and_last(on: On, choices: tuple[str, ...]) -> None:
+    root = on(*choices)
+    agent, guard = (read_unit(root, name) for name in ("coop-agent@left", "coop-guard@left"))
     assert _option(agent, "--guard") == _option(guard, "--socket")
     assert "coop-guard@left.service" in words(agent, "After") & words(agent, "Wants")
     for key in ("Requires", "BindsTo"):  # a guard that comes back would start its agent again
@@ -99,19 +111,16 @@ def test_a_killed_or_hanging_guard_comes_back_with_its_port_and_a_refused_one_do
 
 
 @pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
-def test_an_agent_is_never_started_again_by_itself(tmp_path: Path, choices: tuple[str, ...]) -> None:
-    install(tmp_path, *choices)
-    assert one(read_unit(tmp_path, "coop-agent@left"), "Restart") == "no"
-    target = (tmp_path / "etc/systemd/system/coop.target").read_text()
+def test_an_agent_is_never_started_again_by_itself(on: On, choices: tuple[str, ...]) -> None:
+    root = on(*choices)
+    assert one(read_unit(root, "coop-agent@left"), "Restart") == "no"
+    target = (root / "etc/systemd/system/coop.target").read_text()
     assert "\n[Install]" not in target, "the boot of a host must not start an arm"
 
 
-def test_an_agent_may_read_its_clock_where_hosts_share_time_and_nowhere_set_it(
-    host: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_an_agent_may_read_its_clock_where_hosts_share_time_and_nowhere_set_it(host: Path, on: On) -> None:
     """C4: without the call an agent knows its clock by the bound of the start alone, and holds 40 s later."""
-    several = tmp_path_factory.mktemp("several")
-    install(several, "several-hosts")
+    several = on("several-hosts")
     alone, together = (read_unit(root, "coop-agent@left") for root in (host, several))
     assert (alone["ProtectClock"], together["ProtectClock"][-1]) == (["yes"], "no")
     assert "adjtimex" not in alone["SystemCallFilter"][-1]
@@ -175,10 +184,10 @@ def test_a_unit_that_is_asked_to_end_before_it_has_begun_has_not_failed(simulate
 
 @pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
 def test_agent_and_telemetry_mean_the_same_ring(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, choices: tuple[str, ...]
+    on: On, monkeypatch: pytest.MonkeyPatch, choices: tuple[str, ...]
 ) -> None:
-    install(tmp_path, *choices)
-    agent, telemetry = (read_unit(tmp_path, name) for name in ("coop-agent@left", "coop-telemetry@left"))
+    root = on(*choices)
+    agent, telemetry = (read_unit(root, name) for name in ("coop-agent@left", "coop-telemetry@left"))
     monkeypatch.setenv("RUNTIME_DIRECTORY", f"/run/{one(agent, 'RuntimeDirectory')}")
     rings = {_option(agent, "--ring"), _option(telemetry, "--ring")}
     assert rings == {str(ring_path("any", "left"))}
@@ -186,14 +195,12 @@ def test_agent_and_telemetry_mean_the_same_ring(
 
 
 @pytest.mark.parametrize(("choices", "name"), CASES)
-def test_units_name_what_processes_meet_by_as_the_commands_do(
-    tmp_path: Path, choices: tuple[str, ...], name: str
-) -> None:
-    install(tmp_path, *choices)
+def test_units_name_what_processes_meet_by_as_the_commands_do(on: On, choices: tuple[str, ...], name: str) -> None:
+    root = on(*choices)
     left, plant = SERVICES_DIR / "left", SERVICES_DIR / "plant"
     known = {ring_in(left, "left"), control_in(left, "left"), guard_in(left, "left")}
     known |= {ring_in(plant, "plant"), plant_socket_in(plant)}
-    (line,) = read_unit(tmp_path, name)["ExecStart"]
+    (line,) = read_unit(root, name)["ExecStart"]
     found = {Path(word) for word in line.split() if Path(word).parent in (left, plant)}
     assert found <= known, found - known
     assert found or not name.startswith(("coop-agent", "coop-guard", "coop-telemetry", "coop-plant"))
@@ -224,9 +231,9 @@ def test_the_ring_is_shared_by_its_group_alone(host: Path) -> None:
 
 
 @pytest.mark.parametrize(("choices", "name"), [case for case in CASES if "rings" not in case[1]])
-def test_coop_understands_its_command_line(tmp_path: Path, choices: tuple[str, ...], name: str) -> None:
-    install(tmp_path, *choices)
-    program, verb, *arguments = command(read_unit(tmp_path, name))
+def test_coop_understands_its_command_line(on: On, choices: tuple[str, ...], name: str) -> None:
+    root = on(*choices)
+    program, verb, *arguments = command(read_unit(root, name))
     assert program == "/opt/coop/bin/coop"
     group = whole()
     context = typer.Context(group)
@@ -236,11 +243,8 @@ def test_coop_understands_its_command_line(tmp_path: Path, choices: tuple[str, .
     assert str(parsed.params["cell"]) == "/etc/coop/cell.toml"
 
 
-def test_the_simulated_agent_differs_in_driver_and_priority(
-    host: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    root = tmp_path_factory.mktemp("simulated")
-    install(root, "simulated")
+def test_the_simulated_agent_differs_in_driver_and_priority(host: Path, on: On) -> None:
+    root = on("simulated")
     real, simulated = (read_unit(where, "coop-agent@left") for where in (host, root))
     assert {key for key in real | simulated if real[key] != simulated[key]} == {
         "Requires", "After", "ExecStart", "WatchdogSec",
@@ -252,11 +256,8 @@ def test_the_simulated_agent_differs_in_driver_and_priority(
     )
 
 
-def test_the_agent_of_a_rehearsal_has_a_plant_and_no_network_and_waits_for_a_persons_word(
-    host: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    root = tmp_path_factory.mktemp("rehearsal")
-    install(root, "rehearsal")
+def test_the_agent_of_a_rehearsal_has_a_plant_and_no_network_and_waits_for_a_persons_word(host: Path, on: On) -> None:
+    root = on("rehearsal")
     real, rehearsing = (read_unit(where, "coop-agent@left") for where in (host, root))
     assert {key for key in real | rehearsing if real[key] != rehearsing[key]} == {
         "Requires", "After", "ExecStart", "ReadWritePaths",
@@ -269,11 +270,8 @@ def test_the_agent_of_a_rehearsal_has_a_plant_and_no_network_and_waits_for_a_per
     assert "sim" in command(read_unit(root, "coop-recorder"))
 
 
-def test_the_agent_of_a_session_begins_at_rest_and_is_else_the_same(
-    host: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    root = tmp_path_factory.mktemp("session")
-    install(root, "session")
+def test_the_agent_of_a_session_begins_at_rest_and_is_else_the_same(host: Path, on: On) -> None:
+    root = on("session")
     real, rested = (read_unit(where, "coop-agent@left") for where in (host, root))
     assert {key for key in real | rested if real[key] != rested[key]} == {"Environment"}
     assert command(rested) == [*command(real), "--whole"]
