@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
+from agent.control.floating import Floating
 from agent.faults.virtual import Line
 from agent.host.signals import StopFlag
 from agent.modes import Mode
@@ -79,6 +81,14 @@ class Bench:
 def stop() -> Iterator[StopFlag]:
     with stop_flag() as flag:
         yield flag
+
+
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm that floats stands and sinks for a moment; for how long is of test_floats.py."""
+    monkeypatch.setattr(float_loop, "STAND_S", 0.2)
+    monkeypatch.setattr(float_loop, "SINK_MAX_S", 0.3)
+    monkeypatch.setattr("agent.config.floating.Floating", partial(Floating, sink_s=0.2))
 
 
 @pytest.mark.parametrize(("stops_at", "torque"), [("ring", False), ("law", False), ("torque", True)])
@@ -155,7 +165,6 @@ def test_nor_has_an_arm_that_floats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: StopFlag, stops_at: str, torque: bool
 ) -> None:
     bench = Bench(load_cell(configs.CELLS_DIR / NAME, ['floating.arms=["left"]']), tmp_path, stop, stops_at)
-    monkeypatch.setattr(float_loop, "STAND_S", 0.2)
     monkeypatch.setattr(floats, "quiet_memory", lambda: None)
     monkeypatch.setattr(floats, "MonotonicClock", lambda _: bench.clock)
     monkeypatch.setattr(floats, "servo_driver", lambda *_: bench.driver)
