@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +35,14 @@ IDEAL = (
 )
 
 
+@cache  # nobody changes one, and a run has its own plant and memories
+def lab_of(*overrides: str) -> Laboratory:
+    return Laboratory(cell(*overrides))
+
+
 @pytest.fixture(scope="module")
 def lab() -> Laboratory:
-    return Laboratory(cell())
+    return lab_of()
 
 
 def test_without_a_reality_it_is_the_loop_of_the_other_tests(lab: Laboratory) -> None:
@@ -54,8 +60,7 @@ def test_a_run_is_the_same_every_time_and_another_seed_is_another_run(lab: Labor
 
 
 def test_arms_wait_as_long_as_the_cell_says_and_then_follow() -> None:
-    ready = Laboratory(cell("simulation.ready_s=0.1"))
-    run = Run(ready, None)
+    run = Run(lab_of("simulation.ready_s=0.1"), None)
     assert run.t == pytest.approx(-0.1)
     while run.t < -1e-9:
         assert {place.mode for place in run.places} == {Mode.READY}
@@ -177,9 +182,9 @@ FAULTY = ("duration_s=2.0", "simulation.grasp={stiffness_N_per_m=1e5, stiffness_
 
 @pytest.mark.parametrize("kind", list(FaultKind))
 def test_each_fault_strikes_its_arm_at_its_time(kind: FaultKind) -> None:
-    lab = Laboratory(cell(*FAULTY))
-    run, sound = Run(lab, None, [Fault(kind=kind, arm="right", at_s=0.5)]), Run(lab, None)
-    while run.t < 0.5 - 1e-9:
+    lab, at_s = lab_of(*FAULTY), 0.3
+    run, sound = Run(lab, None, [Fault(kind=kind, arm="right", at_s=at_s)]), Run(lab, None)
+    while run.t < at_s - 1e-9:
         run.advance()
         sound.advance()
     assert np.array_equal(run.plant.q, sound.plant.q)
@@ -211,9 +216,9 @@ def test_each_fault_strikes_its_arm_at_its_time(kind: FaultKind) -> None:
 def test_a_fault_of_the_cell_is_one_of_each_of_its_runs(kind: FaultKind) -> None:
     text = f"simulation.fault=[{{kind='{kind}', arm='right', at_s=0.101}}]"
     ready = "simulation.ready_s=0.013"
-    own = Run(Laboratory(cell(*FAULTY, ready, text)), None)
-    given = Run(Laboratory(cell(*FAULTY, ready)), None, [Fault(kind=kind, arm="right", at_s=0.101)])
-    sound = Run(Laboratory(cell(*FAULTY, ready)), None)
+    own = Run(lab_of(*FAULTY, ready, text), None)
+    given = Run(lab_of(*FAULTY, ready), None, [Fault(kind=kind, arm="right", at_s=0.101)])
+    sound = Run(lab_of(*FAULTY, ready), None)
     for _ in range(40):
         for run in (own, given, sound):
             run.advance()
@@ -228,8 +233,7 @@ def test_an_arm_sees_the_object_by_its_joints_also_when_it_is_limp_and_not_once_
     kind: FaultKind | None,
 ) -> None:
     """Its bases and zeros are true here, so that a grasp that holds shows the object where it is."""
-    lab = Laboratory(cell(*FAULTY))
-    run = Run(lab, None, [] if kind is None else [Fault(kind=kind, arm="left", at_s=0.3)])
+    run = Run(lab_of(*FAULTY), None, [] if kind is None else [Fault(kind=kind, arm="left", at_s=0.3)])
     left = run.places[0]
     assert left.sees() is None, "before its first cycle"
     while run.t < 0.5:
@@ -264,7 +268,7 @@ GRIPPERS = [(name, arm.name) for name in (*TWO, *MORE) for arm in load_cell(Path
 )
 @pytest.mark.fault("F3")
 def test_an_object_that_one_gripper_loses_stays_with_the_others(name: str, arm: str) -> None:
-    lab, at_s = Laboratory(load_cell(Path(name), ["simulation.ready_s=2.0"])), 6.0
+    lab, at_s = Laboratory(load_cell(Path(name), ["simulation.ready_s=1.0"])), 3.0
     run, off = Run(lab, None, [Fault(kind=FaultKind.OPEN, arm=arm, at_s=at_s)]), list[np.ndarray]()
     while run.t < at_s + 1.0:
         if run.t >= at_s:
@@ -276,8 +280,11 @@ def test_an_object_that_one_gripper_loses_stays_with_the_others(name: str, arm: 
     assert 1e-4 < moved_m.max() <= (5e-3 if name in TWO else 3e-3)
 
 
+TIGHT = (*FAULTY, "duration_s=1.0", "safety.tracking_error_max_m=0.01", "safety.tracking_error_max_rad=0.1")
+
+
 def test_reaction_is_from_the_fault_to_the_first_other_arm_that_trips() -> None:
-    lab = Laboratory(cell(*FAULTY, "safety.tracking_error_max_m=0.01", "safety.tracking_error_max_rad=0.1"))
+    lab = lab_of(*TIGHT)
     result = measure(lab, None, faults=[Fault(kind=FaultKind.LIMP, arm="right", at_s=0.5)])
     assert result.tripped
     assert result.reaction_s is not None
@@ -286,13 +293,12 @@ def test_reaction_is_from_the_fault_to_the_first_other_arm_that_trips() -> None:
 
 
 def test_a_fault_of_the_cell_counts_as_one_of_the_study_and_stated_by_both_it_is_one() -> None:
-    tight = (*FAULTY, "safety.tracking_error_max_m=0.01", "safety.tracking_error_max_rad=0.1")
     limp = Fault(kind=FaultKind.LIMP, arm="right", at_s=0.5)
-    own = Laboratory(cell(*tight, "simulation.fault=[{kind='limp', arm='right', at_s=0.5}]"))
+    own = lab_of(*TIGHT, "simulation.fault=[{kind='limp', arm='right', at_s=0.5}]")
     found = measure(own, None)
     assert (found.first_fault_s, found.tracked_s) == (0.5, 0.5)
     assert found.reaction_s is not None
-    assert found == measure(Laboratory(cell(*tight)), None, faults=[limp]) == measure(own, None, faults=[limp])
+    assert found == measure(lab_of(*TIGHT), None, faults=[limp]) == measure(own, None, faults=[limp])
     sooner = Fault(kind=FaultKind.OPEN, arm="left", at_s=0.1)
     run = Run(own, None, [sooner])
     assert run.faults == (limp, sooner)
@@ -310,9 +316,9 @@ def test_a_reality_beyond_reach_is_refused(lab: Laboratory) -> None:
 
 def test_friction_that_is_stated_is_nobodys_doing_and_left_unstated_it_holds_an_arm() -> None:
     """The same joints, which stick more than their file says, under the limits of either cell."""
-    unstated = load_cell(Path("three_wx250s"), ["duration_s=2.0", "report.transient_s=0.5"])
-    rubbing = ["tolerance.breakaway=0.5", "tolerance.load_friction=0.05"]
-    stated = load_cell(Path("three_wx250s"), ["duration_s=2.0", "report.transient_s=0.5", *rubbing])
+    short = ["duration_s=1.6", "report.transient_s=0.5", "simulation.ready_s=1.0"]
+    unstated = load_cell(Path("three_wx250s"), short)
+    stated = load_cell(Path("three_wx250s"), [*short, "tolerance.breakaway=0.5", "tolerance.load_friction=0.05"])
     reality = draw(stated.file.tolerance, 6, stated)
     found, other = (measure(Laboratory(of), reality) for of in (unstated, stated))
     assert (found.lost, found.tripped_by) == (False, "UNEXPECTED")
