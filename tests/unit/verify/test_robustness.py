@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from agent.cli.documents import check_document
 from agent.config.cell import Cell, ConfigError
-from agent.verify.check import CheckReport, examine
+from agent.verify.check import CheckReport, examine, start_configurations
 from agent.verify.criterion.cases import Aligning, Demand
+from agent.verify.disagreement import disagreement
 from agent.verify.finding import Finding, Verdict
-from agent.verify.robustness import loop_of, ranges_of
+from agent.verify.path import along_trajectory
+from agent.verify.robustness import Walk, loop_of, poses, ranges_of
 from tests.support.control.criterion_cells import cell_of, first, gentle
 
 SERVOS = (
@@ -22,6 +26,7 @@ SERVOS = (
     'arms.right.dynamixel={port="/dev/b"}',
 )
 ALIGNED = ("controller.alignment.ready_per_s=2.0",)
+WORN = ("tolerance.delay=[0.8, 2.0]", "tolerance.delay_jitter_s=1e-3", "tolerance.backlash_rad=0.004")
 
 
 @cache
@@ -51,7 +56,7 @@ def test_the_worst_case_is_named_with_its_reality() -> None:
 
 
 def test_a_locked_arm_is_judged_by_the_time_until_it_is_noticed_which_is_said() -> None:
-    report = examine(gentle("paper_real"), thorough=True)
+    report = looked_at(cell_of, "paper_real")
     for what in ("this arm locked", "this arm holding"):
         found = of_left(report)[what]
         assert found.found.endswith(" s), if noticed within 0.1 s")
@@ -107,8 +112,22 @@ def test_within_the_bound_it_is_said_by_which_error_an_arm_that_nobody_notices_i
 def test_an_internal_wrench_that_tolerances_may_make_is_judged_whether_it_breaks_the_loop_or_not(
     name: str, more: tuple[str, ...], wanted: str, verdict: Verdict
 ) -> None:
-    found = of_left(looked_at(cell_of, name, *more))["internal wrench at the stated tolerance"]
-    assert (found.wanted, found.verdict) == (wanted, verdict), found
+    """At a dozen places, as the check looks at them, by its words."""
+    cell = cell_of(name, *more)
+    models, times = [cell.model(arm) for arm in cell.arms], np.linspace(0.0, cell.trajectory().period_s, 12).tolist()
+    each = zip(cell.arms, models, start_configurations(cell, models), strict=True)
+    paths = [along_trajectory(cell, arm, model, q, times).q for arm, model, q in each]
+    walk = Walk(cell, models, list(zip(*paths, strict=True)), times)
+    apart = disagreement(cell, models, poses(walk), walk.along, walk.instants)
+    whole = looked_at(first, "paper").robustness
+    assert whole is not None
+    found, *_ = replace(whole, walk=walk, disagreement=apart)._internal()
+    assert (found.where, found.wanted, found.verdict) == (cell.arms[0].name, wanted, verdict), found
+
+
+def test_the_whole_check_judges_the_internal_wrench_at_the_stated_tolerance() -> None:
+    found = of_left(looked_at(cell_of, "paper_real"))["internal wrench at the stated tolerance"]
+    assert (found.wanted, found.verdict) == ("≤ 2 N", Verdict.WARNING), found
 
 
 def test_jitter_counts_as_delay_and_backlash_is_said_to_count_nowhere() -> None:
@@ -116,8 +135,8 @@ def test_jitter_counts_as_delay_and_backlash_is_said_to_count_nowhere() -> None:
     assert plain == (0.8, 1.0, 1.25)
     assert worn == pytest.approx((0.6, 1.0, 1.45))
     assert ranges_of(gentle("paper", "loop_delay_s=1e-4", "tolerance.delay_jitter_s=1e-3")).delay_periods[0] == 0.0
-    report = looked_at(gentle, "paper", "tolerance.delay_jitter_s=1e-3", "tolerance.backlash_rad=0.004")
-    assert findings(report)["longest delay with all of this stable"].wanted == "≥ 7.25 ms"
+    report = looked_at(gentle, "paper", *WORN)
+    assert findings(report)["longest delay with all of this stable"].wanted == "≥ 11 ms", "twice 5 ms, and 1 ms"
     (gears,) = (f for f in report.findings if f.what == "backlash of the gears")
     assert (gears.verdict, gears.found) == (Verdict.OK, "up to 4 mrad, in no figure of this check")
     assert not any(f.what == "backlash of the gears" for f in looked_at(first, "paper").findings)
@@ -135,10 +154,13 @@ def test_in_simulation_it_warns_and_where_servos_move_the_arms_it_refuses() -> N
 
 @pytest.mark.parametrize(
     "cell",
-    [("paper", *SERVOS), *(pytest.param((name,), marks=pytest.mark.long) for name in ("two_wx200", "three_wx250s"))],
+    [
+        ("paper", *SERVOS, *ALIGNED),
+        *(pytest.param((name,), marks=pytest.mark.long) for name in ("two_wx200", "three_wx250s")),
+    ],
 )
 def test_gains_that_survive_are_neither_warned_of_nor_refused(cell: tuple[str, ...]) -> None:
-    report = examine(gentle(*cell), thorough=True)
+    report = looked_at(gentle, *cell)
     assert report.ok
     assert {f.verdict for f in findings(report).values()} == {Verdict.OK}
 
@@ -167,7 +189,7 @@ def test_the_delay_margin_is_in_milliseconds_and_wants_the_stated_delay() -> Non
     assert found.robustness.criterion.delay_margin_s is not None
     assert margin.found == f"{found.robustness.criterion.delay_margin_s * 1e3:.3g} ms"
     assert margin.wanted == "≥ 6.25 ms"
-    wider = findings(examine(gentle("paper", "tolerance.delay=[0.8, 2.0]"), thorough=True))
+    wider = findings(looked_at(gentle, "paper", *WORN))
     assert wider["longest delay with all of this stable"].verdict is Verdict.WARNING
 
 
@@ -194,7 +216,7 @@ def test_alignment_is_part_of_the_loop_with_its_anchor_and_its_faster_rate(ancho
 
 
 def test_the_slow_creep_of_alignment_is_no_instability() -> None:
-    found = examine(gentle("paper", *ALIGNED), thorough=True)
+    found = looked_at(gentle, "paper", *SERVOS, *ALIGNED)
     aligning = findings(found)["stable: cell that aligns itself"]
     assert aligning.verdict is Verdict.OK
     assert aligning.wanted == "< 1"
