@@ -67,7 +67,7 @@ def test_disagreement_of_held_out_poses_falls_below_the_bounds(
 def test_truth_lies_within_three_standard_errors(cell: str, noise_rad: float) -> None:
     away = []
     for seed in SEEDS:
-        made = rig(cell, seed, noise_rad)
+        made = rig(cell, seed, noise_rad, count=32)
         solution = solve(made.chain, made.poses.some(~made.poses.held_out))
         known = solution.sigma > 0.0
         away.append((solution.x - made.truth)[known] / solution.sigma[known])

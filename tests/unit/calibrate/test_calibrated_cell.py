@@ -68,12 +68,12 @@ def in_error(name: str = "two_wx200") -> tuple[Calibrated, Cell]:
     return calibrated(cell, made.chain, made.poses), cell
 
 
-def strain(cell: Cell, duration_s: float = 2.5) -> float:
-    """Force with which two arms of equal shares pull against each other, rms after a second, N."""
+def strain(cell: Cell, duration_s: float = 1.5) -> float:
+    """Force with which two arms of equal shares pull against each other, rms once they have settled, N."""
     pulls: list[float] = []
 
     def see(t: float, truth: Observation) -> None:
-        if t > 1.0:
+        if t > 0.7:
             pulls.append(0.5 * float(np.linalg.norm((truth.grasp_wrench[0] - truth.grasp_wrench[1])[:3])))
 
     simulate(cell, duration_s, see=see)

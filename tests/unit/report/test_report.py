@@ -15,7 +15,7 @@ from rich.console import Console
 
 from agent.report.gallery import pictures
 from agent.report.page import pictures_in
-from agent.report.prepared import prepare
+from agent.report.prepared import Prepared, prepare
 from agent.report.report import ReportFiles, write_report
 from agent.report.results_file import ReportError, folder_of, terminal_table
 from agent.telemetry.row.event import Event, Level
@@ -130,8 +130,8 @@ def test_the_terminal_table_fits_eighty_columns_and_has_the_verdicts(written: Re
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two pictures instead of twenty, where nothing is said of them."""
-    monkeypatch.setattr("agent.report.report.pictures", lambda run: itertools.islice(pictures(run), 2))
+    """One picture instead of twenty, where nothing is said of them."""
+    monkeypatch.setattr("agent.report.report.pictures", lambda run: itertools.islice(pictures(run), 1))
 
 
 @pytest.mark.usefixtures("few")
@@ -196,12 +196,13 @@ def test_a_log_that_ends_in_the_transient_shows_its_figures_and_no_verdict(tmp_p
 
 
 def test_three_six_joint_arms_without_a_plant_have_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = [f"torque_terms_arm{i}" for i in range(3)]
+    log, own = spatial_run(Path("run.mcap"), duration_s=25.0), [f"torque_terms_arm{i}" for i in range(3)]
+    assert [picture.stem for picture in pictures(prepare(log)) if picture.stem in own] == own
     monkeypatch.setattr(
-        "agent.report.report.pictures", lambda run: [picture for picture in pictures(run) if picture.stem in own]
+        "agent.report.report.pictures", lambda run: [picture for picture in pictures(run) if picture.stem == own[2]]
     )
-    files = write_report(spatial_run(Path("run.mcap"), duration_s=25.0), tmp_path)
-    assert list(files.figures) == own
+    files = write_report(log, tmp_path)
+    assert list(files.figures) == own[2:]
     text = read_page(files.html).text
     assert "seen by arm2" in text
     assert "no simulation in the log" in text
@@ -209,9 +210,15 @@ def test_three_six_joint_arms_without_a_plant_have_a_report(tmp_path: Path, monk
 
 @pytest.mark.usefixtures("few")
 def test_the_page_opens_with_the_cell_at_the_start(tmp_path: Path) -> None:
-    files = write_report(view_log(), tmp_path, still)
+    drawn: list[bytes] = []
+
+    def first(run: Prepared) -> bytes:
+        drawn.append(still(run))
+        return drawn[-1]
+
+    files = write_report(view_log(), tmp_path, first)
     picture = (tmp_path / "start.png").read_bytes()
-    assert picture == still(prepare(view_log()))
+    assert drawn == [picture]
     assert next(iter(files.figures)) == "start"
     assert '<figure id="start">' in files.html.read_text()
     assert "#start img { width: 100%; }" in files.html.read_text(), "a phone shows both arms at once"
