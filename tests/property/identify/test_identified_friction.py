@@ -22,7 +22,7 @@ from tests.support.arm_files import with_figures
 from tests.support.identify_rig import recorded
 
 PERIOD = 0.005
-SHORTER = ("duration_s=30.0", "trajectory.motion_s=30.0")  # half of the three periods
+SHORTER = ("duration_s=24.0", "trajectory.motion_s=24.0")  # of the three periods of 20 s
 TRUE = {"stribeck_rad_per_s": 0.3, "stribeck_exponent": 1.0}
 
 
