@@ -148,7 +148,7 @@ def test_what_a_tolerance_explains_is_the_disagreement_of_arms_within_it(name: s
     ]
     drawn = [
         [rms(of) for of in disagreement(made.chain, made.chain.scale * rng.normal(size=made.chain.size), agreeing)]
-        for _ in range(400)
+        for _ in range(200)
     ]
     np.testing.assert_allclose(
         explained(made.chain, nothing, agreeing), [rms(of) for of in np.array(drawn).T], rtol=0.08

@@ -142,8 +142,9 @@ def test_an_empty_estimate_that_the_rate_cannot_hold_is_warned_of_and_diverges()
     """Without any believed inertia the reference acceleration feeds nothing back: 200 Hz is too slow for that."""
     what = "spectral radius with the estimates of the start"
     unstable = cell_of("paper", KIND, ZERO)
-    assert finding(unstable, what).verdict is Verdict.WARNING
-    assert "rotor_inertia = false" in finding(unstable, what).remedy
+    found = finding(unstable, what)
+    assert found.verdict is Verdict.WARNING
+    assert "rotor_inertia = false" in found.remedy
     assert finding(cell_of("paper_adaptive"), what).verdict is Verdict.OK
     assert largest_error(unstable) > 0.01
 

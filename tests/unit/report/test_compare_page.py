@@ -46,6 +46,11 @@ def runs() -> list[ComparedRun]:
     return [compared(view_log(), "a.mcap"), compared(worse, "b.mcap"), compared(third, "c.mcap")]
 
 
+@pytest.fixture(scope="module")
+def rendered(runs: list[ComparedRun]) -> str:
+    return render(runs)
+
+
 def test_settings_are_told_by_key_and_arms_by_name(runs: list[ComparedRun]) -> None:
     found = {setting.key: setting.values for setting in different([run.settings for run in runs])}
     assert found == {
@@ -78,9 +83,9 @@ def test_a_log_without_files_says_so() -> None:
     }  # fmt: skip
 
 
-def test_the_page_holds_every_run_against_the_first(runs: list[ComparedRun]) -> None:
+def test_the_page_holds_every_run_against_the_first(rendered: str) -> None:
     page = Page()
-    page.feed(render(runs))
+    page.feed(rendered)
     page.close()
     assert page.open == []
     assert len(page.images) == 1
@@ -111,12 +116,14 @@ def test_a_log_whose_name_is_no_text_has_a_page(tmp_path: Path) -> None:
     assert "\\udcff.mcap" in path.read_text()
 
 
-def test_a_page_that_cannot_be_written_leaves_what_was_there(runs: list[ComparedRun], tmp_path: Path) -> None:
+def test_a_page_that_cannot_be_written_leaves_what_was_there(
+    runs: list[ComparedRun], rendered: str, tmp_path: Path
+) -> None:
     with pytest.raises(ReportError, match="No such file"):
-        write_comparison(runs, tmp_path / "nowhere" / "page.html")
+        write_comparison(runs[:2], tmp_path / "nowhere" / "page.html")
     path = tmp_path / "page.html"
     write_comparison(runs, path)
-    assert path.read_text() == render(runs)
+    assert path.read_text() == rendered
     assert list(tmp_path.iterdir()) == [path]
 
 
