@@ -11,6 +11,7 @@ from agent.telemetry.link.wire import RecorderStatus, unpack_status
 from agent.telemetry.row import topics
 
 _TIMEOUT_S: Final = 2.0
+_GIVEN_UP_S: Final = 2.0 * _TIMEOUT_S  # of a question that Zenoh should have ended
 _STATUS_BYTES_MAX: Final = 1 << 16
 
 
@@ -33,6 +34,8 @@ class StatusQuery:
             try:
                 status = _status_in(self._replies.try_recv(), self._seal)
             except zenoh.ZError:  # nobody there, or all answers taken
+                self._replies = None
+            if now_s - self._asked_s > _GIVEN_UP_S:  # Zenoh has not ended it: rather ask anew than wait for ever
                 self._replies = None
         if self._replies is None and now_s - self._asked_s >= self._period_s and has_link(self._session):
             self._asked_s = now_s
