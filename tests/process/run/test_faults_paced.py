@@ -7,24 +7,42 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.log.read import read_log
+from agent.log.read import RunLog, read_log
 from agent.modes import Mode
 from agent.process.arranged import REASON
 from agent.telemetry.row.sample import MAX_JOINTS
 from tests.support.loaded import coop
+from tests.support.stalls import ATTEMPTS, stalled
 
 HELD_S, LIMP_S, END_S, SOON_S = 0.5, 0.8, 1.2, 0.06
 FAULTS = f"{{kind='hold', arm='right', at_s={HELD_S}}}, {{kind='limp', arm='left', at_s={LIMP_S}}}"
 
 
-@pytest.mark.paced
-@pytest.mark.parametrize("kind", ["--real-time", "--wire"])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param("--real-time", marks=pytest.mark.paced), pytest.param("--wire", marks=pytest.mark.realtime)],
+)
 def test_faults_come_at_their_instant_from_the_common_start(tmp_path: Path, kind: str) -> None:
+    whys = []
+    for attempt in range(ATTEMPTS if kind == "--wire" else 1):
+        log = faulty(tmp_path / str(attempt), kind)
+        if kind == "--wire" and (why := stalled(log, HELD_S)):  # an arm holds for it, before any fault
+            whys.append(why)
+            continue
+        return befall(log)
+    pytest.skip(f"this machine stalled in each of {ATTEMPTS} runs: {'; '.join(whys)}")
+
+
+def faulty(out: Path, kind: str) -> RunLog:
     coop(
-        "run", "two_wx200", kind, "--no-report", "--duration", END_S + 0.1, "--out", tmp_path / "out",
+        "run", "two_wx200", kind, "--no-report", "--duration", END_S + 0.1, "--out", out,
         "--set", f"simulation.fault=[{FAULTS}]", "--set", "simulation.ready_s=1.0",
     )  # fmt: skip
-    log = read_log(tmp_path / "out" / "run.mcap")
+    return read_log(out / "run.mcap")
+
+
+def befall(log: RunLog) -> None:
+    """The faults have come to their arms at their instants."""
     right, rows = log.agents["right"], log.plant
     assert rows is not None
     held_s = right["t"][right["mode"] == Mode.HOLD]
