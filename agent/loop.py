@@ -29,7 +29,7 @@ from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Residual, Sense, nothing_sensed
 from agent.control.terms import CMD, DDQ_REF, Terms
 from agent.control.trajectory import Desired, Trajectory, at_rest
-from agent.missed import MANY, in_time, periods
+from agent.missed import MANY, caught_up, in_time, periods
 from agent.modes import FLOATING, Mode
 from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
@@ -97,7 +97,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
 
     state: measured joints; t: time since the trajectory's zero, s; memory: as the last tick left it.
     """
-    memory = in_time(agent.period_s, t, memory) if mode is _HOLD else memory
+    if mode is not _TRACK:  # which goes by t
+        memory = (in_time if mode is _HOLD else caught_up)(agent.period_s, t, memory)
     if agent.observer is None:
         q, dq = state.q, state.dq
     else:

@@ -1,4 +1,7 @@
-"""Ticks without a state: how many there were before this one, and what a hold makes of them; pure.
+"""Ticks without a state: how many there were before this one, and what is made of them; pure.
+
+What an arm does by the age of its mode goes on by the clock while it misses single ticks: a way that waited for them
+would lie behind the speed that it asks for.  Over a pause it waits, for there the arm stood still or fell.
 
 Missed once, the hold goes on as it was: only the law knows what the arm carries beyond its share, as of a limp
 neighbour.  Its observer begins anew, for it expects the next period.  Missed again before that is forgotten, the law
@@ -19,6 +22,12 @@ def periods(period_s: float, t: float, memory: Memory) -> int:
     """Since the last tick that had a state; MANY: it is not to be worked out what has been meanwhile."""
     passed = t - memory.t
     return MANY if passed > STARVED_PERIODS * period_s else 1 + (passed > 1.5 * period_s) + (passed > 2.5 * period_s)
+
+
+def caught_up(period_s: float, t: float, memory: Memory) -> Memory:
+    """Memory of a mode that goes by its age, as old at t as it would be with a state in every tick before."""
+    since = periods(period_s, t, memory)
+    return memory if since == 1 or since == MANY else memory._replace(age=memory.age + (since - 1) * period_s)
 
 
 def in_time(period_s: float, t: float, memory: Memory) -> Memory:

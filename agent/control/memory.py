@@ -42,7 +42,7 @@ class Memory(NamedTuple):
     t: float = 0.0  # time of the last tick, s; the adaptation integrates over the real interval
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
     q_hold: Vector | None = None  # joint angles at that pose, for a hold that needs no inverse of the Jacobian
-    age: float = 0.0  # s of the ticks in this mode; what goes by it is not hurried by ticks that were missed
+    age: float = 0.0  # s in this mode, without pauses: what goes by it is not hurried by one (agent.missed)
     missed: int = 0  # ticks until a hold forgets that it had no state for some (agent.missed)
     braced: Braced = NOT_BRACED  # of a hold that is carried on (agent.control.brace)
     friction_factor: float = 1.0  # times the file's friction (agent.control.friction_factor)

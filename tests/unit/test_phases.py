@@ -15,6 +15,7 @@ from agent.config.cell import load_cell
 from agent.modes import Mode
 from agent.operator.table import Verb
 from agent.replay.chain import Chain
+from agent.safety import Flag
 from drivers.interface import JointState
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.phase_rig import At, PhaseArm, PhaseRun, Step
@@ -62,6 +63,27 @@ def replays(arm: PhaseArm) -> None:
         memory, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
         assert np.array_equal(outcome.tau, row["tau_limited"][:n])
         assert np.array_equal(memory.flatten(), row["memory"])
+
+
+def test_an_arm_that_misses_one_state_in_eight_goes_its_way_at_the_pace_of_the_clock() -> None:
+    def lossy(rig: PhaseRun) -> None:
+        rig.injectors["left"].add([Fault(kind=FaultKind.DROP, arm="left", probability=0.05)], rig.now_ns)
+
+    steps = [Step(REST, lossy), Step(REST, Verb.APPROACH, APPROACH), Step(APPROACH, nothing, None, 1.5)]
+    rig = PhaseRun(CELL, At.REST, steps, limit_s=3.0)
+    for name, misses in (("left", True), ("right", False)):
+        arm, session = rig.arms[name], rig.lives[name]
+        assert session is not None
+        rows, n = arm.rows[arm.rows["mode"] == APPROACH], arm.agent.model.n
+        stale = rows["flags"] & Flag.STALE != 0
+        assert bool(0.08 < stale.mean() < 0.2) is misses
+        fresh = rows[~stale]
+        way = session.life.journey(fresh["q_measured"][0, :n], forward=True)
+        passed_s = (fresh["stamp_ns"] - rows["stamp_ns"][0]) * 1e-9
+        off = [abs(q - way.at(s).q).max() for q, s in zip(fresh["q_measured"][:, :n], passed_s, strict=True)]
+        assert max(off) < 0.015  # a way by the ticks that had a state would end 0.2 rad behind
+        assert arm.reasons == []
+        replays(arm)
 
 
 @pytest.mark.long  # the same is stopped at the object below; `make phases` goes through every phase

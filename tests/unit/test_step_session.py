@@ -249,3 +249,23 @@ def test_what_was_expected_or_not_sensed_is_not_explained() -> None:
     assert explained(replace(agent, residual=None), outcome) == ""
     for nothing in ({"sensed": None}, {"terms": None}, {"flags": Flag.NONE}):
         assert explained(agent, outcome._replace(**nothing)) == ""
+
+
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.READY, Mode.LOWER, Mode.RELEASE, Mode.PARK])
+@pytest.mark.parametrize(("passed", "older"), [(0.4, 1), (1, 1), (2, 2), (3, 3), (4, 1), (400, 1), (-5, 1)])
+def test_what_goes_by_its_age_waits_for_no_single_state_and_through_every_pause(
+    mode: Mode, passed: float, older: int
+) -> None:
+    agent, T = arm(), 0.005
+    of = memory(agent, age=0.01, t=1.0)
+    after = tick(agent, mode, of, t=1.0 + passed * T).memory
+    assert after.age == pytest.approx(0.01 + older * T, abs=1e-12)
+
+
+def test_a_tick_behind_a_missed_one_wants_what_is_due_now() -> None:
+    agent, T = arm(), 0.005
+    missed = tick(agent, Mode.PARK, memory(agent, age=0.3, t=1.0), t=1.0 + 2 * T)
+    due = tick(agent, Mode.PARK, memory(agent, age=0.3 + T, t=1.0), t=1.0 + T)
+    np.testing.assert_allclose(tau(missed), tau(due), rtol=1e-12)
+    late = tick(agent, Mode.PARK, memory(agent, age=0.3, t=1.0), t=1.0 + T)
+    assert np.abs(tau(late) - tau(due)).max() > 1e-6
