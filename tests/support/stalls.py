@@ -21,6 +21,9 @@ ATTEMPTS = 3  # a run that the machine stalled is repeated
 # Beyond these shares a process that others must hear in time is not to blame: of the time in which it could have run it
 # waited for a core; of all time somebody waited for one; of all time the host of a virtual machine took it away.
 WAITED, SOMEBODY_WAITED, STOLEN = 0.25, 0.5, 0.02
+# So many cycles of the last hundred without a state: a real arm holds for it, one of the emulator goes on as it can.
+PERIOD_NS, WINDOW, MISSED = 5_000_000, 100, 10
+PAUSE = 10  # periods; what took as long is no slowness: a process that ended, or one that a test stopped
 CROWD = 4.0  # processes for each core; `make test` by itself has about two
 
 
@@ -119,6 +122,11 @@ def stalled_rows(agents: Mapping[str, NDArray[np.void]], before_s: float = float
             return f"{arm}: three cycles in a row without a reply"
         if early["late_s"].max(initial=0.0) > 0.01:
             return f"{arm}: a cycle {early['late_s'].max() * 1e3:.0f} ms late"
+        since = np.rint(np.diff(early["stamp_ns"].astype(np.int64)) / PERIOD_NS).astype(int)
+        missed = lost[1:] + np.where((since > 1) & (since < PAUSE), since - 1, 0)
+        most = max((missed[k : k + WINDOW].sum() for k in range(len(missed))), default=0)
+        if most > MISSED:
+            return f"{arm}: {most} cycles beside {WINDOW} without a state"
     return ""
 
 

@@ -5,9 +5,23 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from tests.support.stalls import ATTEMPTS, Kernel, Stalled, _ran_and_waited_ns, crowded, despite_stalls
+from agent.safety import Flag
+from tests.support.stalls import (
+    ATTEMPTS,
+    MISSED,
+    PAUSE,
+    PERIOD_NS,
+    Kernel,
+    Stalled,
+    _ran_and_waited_ns,
+    crowded,
+    despite_stalls,
+    stalled_rows,
+)
 
 
 @pytest.mark.parametrize("stalls", [0, 1, ATTEMPTS])
@@ -91,3 +105,29 @@ def test_a_machine_is_crowded_by_the_processes_for_each_core(
 def test_the_kernel_is_asked_about_the_threads_of_a_process() -> None:
     ran, waited = _ran_and_waited_ns(os.getpid())
     assert ran > 0 <= waited
+
+
+def cycles(*at: float, late_s: float = 0.0) -> NDArray[np.void]:
+    """Rows of an arm with a state in these periods."""
+    rows = np.zeros(len(at), [("stamp_ns", "i8"), ("t", "f8"), ("late_s", "f8"), ("flags", "i8")])
+    rows["stamp_ns"], rows["t"], rows["late_s"] = np.array(at) * PERIOD_NS, np.array(at) * PERIOD_NS * 1e-9, late_s
+    return rows
+
+
+def test_rows_tell_what_the_machine_did_and_excuse_nothing_else() -> None:
+    good = np.arange(400.0)
+    assert stalled_rows({"left": cycles(*good), "right": cycles(*good)}) == ""
+    assert stalled_rows({"left": cycles(*good), "right": cycles(*good, late_s=0.011)}) == "right: a cycle 11 ms late"
+    silent = cycles(*good)
+    silent["flags"][[100, 101, 103]] = Flag.STALE.value
+    assert stalled_rows({"left": silent}) == ""
+    silent["flags"][102] = Flag.STALE.value
+    assert stalled_rows({"left": silent}) == "left: three cycles in a row without a reply"
+    assert stalled_rows({"left": silent}, before_s=0.51) == ""
+
+
+def test_an_arm_of_which_every_other_cycle_is_left_out_is_on_a_slow_machine_and_one_that_paused_is_not() -> None:
+    slow = [*range(200), *range(201, 201 + 2 * (MISSED + 1), 2)]
+    assert stalled_rows({"left": cycles(*slow)}) == f"left: {MISSED + 1} cycles beside 100 without a state"
+    assert stalled_rows({"left": cycles(*slow[:-1])}) == ""
+    assert stalled_rows({"left": cycles(*range(200), *range(199 + PAUSE, 400))}) == ""
