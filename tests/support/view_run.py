@@ -26,12 +26,20 @@ def paper_cell() -> Cell:
 def view_log(seconds: float = SECONDS, *, plant: bool = True) -> RunLog:
     """Two arms that follow the paper's trajectory for a while, 200 rows a second."""
     log = paper_run(Path("run.mcap"), duration_s=seconds, plant=plant)
-    for arm in paper_cell().arms:
-        rows = log.agents[arm.name]
-        for i in range(0, len(rows), 10):
-            rows["q"][i : i + 10, :3] = joints_at(arm, rows["p_object"][i], rows["quat_object"][i])
+    for name, joints in _joints(seconds).items():
+        log.agents[name]["q"][:, :3] = joints
     log.attachments.update(attachments(paper_cell(), log.attachments["run.json"]))
     return log
+
+
+@cache
+def _joints(seconds: float) -> dict[str, np.ndarray]:
+    found = {}
+    for arm in paper_cell().arms:
+        rows = paper_run(Path("run.mcap"), duration_s=seconds).agents[arm.name]
+        each = [joints_at(arm, row["p_object"], row["quat_object"]) for row in rows[::10]]
+        found[arm.name] = np.repeat(each, 10, axis=0)[: len(rows)]
+    return found
 
 
 def view_run(seconds: float = SECONDS, *, plant: bool = True) -> Prepared:

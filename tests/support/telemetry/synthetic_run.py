@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +138,15 @@ def paper_rows(side: float, ticks: int, noise: np.random.Generator, *, first: in
 
 
 def paper_run(path: Path, *, duration_s: float = 100.0, plant: bool = True, adaptive: bool = False) -> RunLog:
-    """Two planar arms on the paper's trajectory."""
+    """Two planar arms on the paper's trajectory; its rows are the caller's to change."""
+    agents = {name: rows.copy() for name, rows in _paper_agents(duration_s, adaptive).items()}
+    controller = {"kind": "adaptive"} if adaptive else {"kind": "known", "k_p_per_s": 150.0}
+    content = run_file(duration_s, controller=controller)
+    return as_log(path, agents, true_rows(agents["left"]) if plant else None, content)
+
+
+@lru_cache(maxsize=1)  # a run of 100 s is large
+def _paper_agents(duration_s: float, adaptive: bool) -> dict[str, NDArray[np.void]]:
     noise = np.random.default_rng(7)
     ticks = round(duration_s * 200.0)
     agents = {}
@@ -148,9 +157,7 @@ def paper_run(path: Path, *, duration_s: float = 100.0, plant: bool = True, adap
             rows["theta_arm"][:, :48] = (1 - np.exp(-t / 8.0))[:, None] * np.linspace(0.01, 0.5, 48)
             rows["theta_object"][:, 0] = 0.062 * (1 - np.exp(-t / 5.0))
         agents[name] = rows
-    controller = {"kind": "adaptive"} if adaptive else {"kind": "known", "k_p_per_s": 150.0}
-    content = run_file(duration_s, controller=controller)
-    return as_log(path, agents, true_rows(agents["left"]) if plant else None, content)
+    return agents
 
 
 def true_rows(one: NDArray[np.void]) -> NDArray[np.void]:

@@ -22,6 +22,7 @@ from agent.log.scan import MAGIC
 from agent.report.moments import Moment, around, marks, moments_of
 from agent.report.prepared import prepare
 from agent.telemetry.row.event import Event, Level
+from agent.view.camera import Camera
 from agent.view.curves import Curve, curves_of, thinned
 from agent.view.error import ViewError
 from agent.view.scene import DESIRED, OBJECT, Placed
@@ -44,6 +45,11 @@ UTC_0 = 1_800_000_000_000_000_000
 @cache
 def staged() -> Staged:
     return stage(prepare(view_log()), 20.0)
+
+
+@cache
+def camera() -> Camera:
+    return staged().camera(VIEW_PX)
 
 
 @pytest.fixture
@@ -86,7 +92,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def player(server: Server, clock: Clock) -> Player:
-    nodes = Nodes(server, staged().scene, staged().camera(VIEW_PX))
+    nodes = Nodes(server, staged().scene, camera())
     found = Player(server, nodes, staged(), [Moment(0.5, "left", "mode TRACK → HOLD", True)], clock)
     found.step()
     return found
@@ -195,7 +201,7 @@ def test_an_event_is_gone_to_and_nothing_is_no_event(player: Player, server: Ser
     player._go_to._impl.value = NOTHING
     tell(player._go_to)
     assert player._wanted_s is None
-    quiet = Player(server, Nodes(server, staged().scene, staged().camera(VIEW_PX)), staged(), [], clock)
+    quiet = Player(server, Nodes(server, staged().scene, camera()), staged(), [], clock)
     assert not quiet._go_to.visible
 
 
@@ -443,10 +449,10 @@ def test_text_and_curves_follow_a_drag_half_as_often_and_its_end_as_ever(player:
 
 
 def test_a_scene_without_a_title_has_no_text_in_the_picture(server: Server) -> None:
-    nodes = Nodes(server, staged().scene, staged().camera(VIEW_PX), titled=False)
+    nodes = Nodes(server, staged().scene, camera(), titled=False)
     nodes.show(staged().placed, 3, "a text")
     assert nodes._label is None
-    titled = Nodes(server, staged().scene, staged().camera(VIEW_PX))
+    titled = Nodes(server, staged().scene, camera())
     titled.show(staged().placed, 3, "a text")
     assert titled._label is not None
     assert titled._label.text == "a text"
@@ -460,7 +466,7 @@ def test_it_listens_on_this_host_alone_and_opens_no_tunnel(server: Server) -> No
 
 
 def test_a_pose_that_is_no_number_moves_nothing(server: Server) -> None:
-    nodes = Nodes(server, staged().scene, staged().camera(VIEW_PX))
+    nodes = Nodes(server, staged().scene, camera())
     poses = {name: at.copy() for name, at in staged().placed.poses.items()}
     poses[OBJECT][1] = np.nan
     broken = Placed(poses, {"wrench/left": np.full((2, 2, 3), np.nan)})
