@@ -17,6 +17,7 @@ from agent.log.read import RunLog
 from agent.process.run import RunOutcome
 from agent.report.compare import Change
 from agent.report.metrics import summarise
+from agent.verify import tune
 from tests.support.command import Done, coop
 from tests.support.pages import told
 from tests.support.telemetry.synthetic_run import paper_run
@@ -122,7 +123,8 @@ GAINS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path) -> None:
+def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tune, "PLACES", 3)  # of the motion
     written = tmp_path / "new.toml"
     done = coop("tune", PAPER, "--form", "rate", "--radius", "0.99", "--write", written, "--json")
     assert done.code == 0, done.err
