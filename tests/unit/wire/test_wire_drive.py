@@ -9,8 +9,9 @@ import pytest
 
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import OperatingMode
-from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.counts import PWM_UNIT_DUTY, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.dynamixel.servo.models import SERVOS
+from sim_backend.wire.drive import Drive, Goals
 from sim_backend.wire.motor import Motor, MotorData
 from sim_backend.wire.profile import Profile, ProfileType
 from sim_backend.wire.servo import Servo
@@ -67,6 +68,14 @@ class TestMotor:
         motor = Motor(MotorData.of(XM))
         motor.drive_current(2.0, 0.1, 12.0, 0.0)
         assert motor.current_A == pytest.approx(0.23)
+
+    @pytest.mark.parametrize(("goal", "limit", "counts"), [(-100, 885, -100), (100, 885, -100), (800, 200, -200)])
+    def test_goal_pwm_caps_it_by_its_amount_and_at_most_by_its_limit(self, goal: int, limit: int, counts: int) -> None:
+        drive = Drive(Motor(MotorData.of(XM)), 2.69e-3)
+        drive.torque_on = True
+        drive.goals = Goals(mode=OperatingMode.CURRENT, current=-1000, current_limit=1193, pwm=goal, pwm_limit=limit)
+        drive.step(1e-3, lambda: 0.0, 0.0, 12.0)
+        assert drive.motor.duty == pytest.approx(counts * PWM_UNIT_DUTY)
 
     def test_friction_opposes_motion(self) -> None:
         motor = Motor(MotorData.of(XM, coulomb_Nm=0.2))
