@@ -59,7 +59,8 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Packages:
     elsewhere.mkdir()
     venv.create(prefix, symlinks=True)
     python = prefix / "bin/python"
-    install = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-index", wheel]
+    how = ["--quiet", "--no-compile", "--no-deps", "--no-index"]
+    install = [sys.executable, "-m", "pip", "--python", str(python), "install", *how, str(wheel)]
     done = subprocess.run(install, capture_output=True, text=True, timeout=TIMEOUT_S)
     assert done.returncode == 0, done.stderr
     (site,) = prefix.glob("lib/python*/site-packages")

@@ -25,6 +25,7 @@ from drivers.dynamixel.pace import PaceError
 from drivers.dynamixel.servo import table
 from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.timing import BusTiming
+from tests.support.servos.copied_rig import brought_up
 from tests.support.servos.dxl_rig import WX200, Rig, VirtualPort, at, build, enabled
 
 NO_CONNECTION = "found no connection, expected a connection"
@@ -132,7 +133,7 @@ def test_a_latency_timer_above_two_milliseconds_is_refused(timer_ms: int | None,
 
 
 def test_what_is_refused_leaves_the_port_closed_and_nothing_to_read() -> None:
-    rig = enabled()
+    rig = brought_up()
     rig.port.close()
     driver, port = on(rig)
     driver.connect()
@@ -242,7 +243,7 @@ def test_enable_begins_anew_once_and_commands_may_follow_at_once() -> None:
 
 
 def test_goals_of_an_earlier_run_are_gone_before_torque_comes_on() -> None:
-    rig = enabled()
+    rig = brought_up()
     rig.driver.write(np.array([1.0, 1.0, 0.0, 0.1]))
     rig.driver.disable()
     assert rig.get(4, table.GOAL_CURRENT) > 0
@@ -266,7 +267,7 @@ def _fields(joint: Any) -> dict[str, Any]:
 
 
 def test_after_disable_it_is_connected_and_after_close_it_is_not() -> None:
-    rig = enabled()
+    rig = brought_up()
     rig.driver.disable()
     assert torque(rig) == [0] * 7
     rig.driver.read()
@@ -296,7 +297,7 @@ def test_torque_that_another_program_has_on_stays_on_when_a_start_is_refused_for
 
 def test_disable_switches_off_whatever_this_driver_may_have_on_and_keeps_the_arm_connected() -> None:
     """Also where `enable` failed halfway, or the phase says that there is no torque."""
-    rig = enabled()
+    rig = brought_up()
     rig.driver.disable()
     rig.put(4, table.TORQUE_ENABLE, 1)
     rig.driver.disable()
@@ -306,7 +307,7 @@ def test_disable_switches_off_whatever_this_driver_may_have_on_and_keeps_the_arm
 
 def test_what_a_servo_says_beside_an_error_is_not_believed() -> None:
     """Torque off, for one: its watchdog would be taken from it."""
-    rig = enabled()
+    rig = brought_up()
     bus = rig.driver._bus
     address, fields = Page.STATUS.value
     rows = bus.read_all(address, fields, [1, 2])
@@ -317,7 +318,7 @@ def test_what_a_servo_says_beside_an_error_is_not_believed() -> None:
 
 
 def test_disable_on_a_dead_port_is_safe_and_on_a_closed_one_says_nothing() -> None:
-    rig = enabled()
+    rig = brought_up()
     rig.port.lost = True
     rig.driver.disable()
     with pytest.raises(NotEnabledError, match=NO_TORQUE):
@@ -349,12 +350,12 @@ def test_reopen_is_the_same_arm_or_a_closed_port() -> None:
 
 
 def test_what_connect_found_is_every_servo_of_the_map() -> None:
-    assert [servo.slot.servo_id for servo in enabled().driver.found] == [1, 2, 3, 4, 5, 6, 7]
+    assert [servo.slot.servo_id for servo in brought_up().driver.found] == [1, 2, 3, 4, 5, 6, 7]
 
 
 def test_an_arm_has_lapsed_from_a_lost_port_until_it_is_open_again_or_given_back() -> None:
     assert build().driver.lapsed is False, "before anything"
-    rig = enabled()
+    rig = brought_up()
     driver = rig.driver
     for use in (driver.read, lambda: driver.write(np.zeros(4))):
         rig.port.lost = True
@@ -372,7 +373,7 @@ def test_an_arm_has_lapsed_from_a_lost_port_until_it_is_open_again_or_given_back
 
 
 def test_rearm_forgets_the_watchdog_and_nothing_else() -> None:
-    rig = enabled()
+    rig = brought_up()
     kept = DxlServoFault(FaultCause.NO_EFFECT, servo_id=4, joint="elbow", found="", expected="")
     rig.driver.faults = [
         DxlServoFault(FaultCause.WATCHDOG_TRIPPED, servo_id=1, joint="waist", found="", expected=""), kept,

@@ -15,6 +15,7 @@ from drivers.dynamixel.grip import GripControl
 from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE, Register
 from drivers.interface import Gripper
+from tests.support.servos.copied_rig import brought_up
 from tests.support.servos.dxl_rig import FINGERS, Rig, build, enabled, loses, with_gripper
 
 GRIPPER, EFFORT = 7, round(0.25 * 885)
@@ -29,7 +30,7 @@ def cycles(rig: Rig, count: int) -> None:
 
 
 def test_a_width_goes_out_with_the_next_torque_and_the_fingers_follow() -> None:
-    rig = enabled(with_gripper())
+    rig = brought_up(with_gripper())
     cycles(rig, 3)
     before = rig.get(GRIPPER, GOAL_POSITION)
     rig.driver.grip(0.074)
@@ -50,7 +51,7 @@ def test_a_width_goes_out_with_the_next_torque_and_the_fingers_follow() -> None:
 @pytest.mark.parametrize("after_watchdogs", [False, True])
 @pytest.mark.fault("B1", "F9")
 def test_a_width_of_which_a_packet_gets_lost_is_gone_to_all_the_same(register: Register, after_watchdogs: bool) -> None:
-    rig = enabled(with_gripper())
+    rig = brought_up(with_gripper())
     if after_watchdogs:
         rig.driver.grip(0.03)
         cycles(rig, 3)
@@ -63,7 +64,7 @@ def test_a_width_of_which_a_packet_gets_lost_is_gone_to_all_the_same(register: R
 
 
 def test_fingers_that_close_say_a_positive_effort_and_a_force() -> None:
-    rig = enabled(with_gripper())
+    rig = brought_up(with_gripper())
     rig.driver.grip(0.03)
     cycles(rig, 15)
     state = rig.driver.grip_state()
@@ -100,7 +101,7 @@ def test_a_grip_by_current_is_a_share_of_full_current(limit: int) -> None:
 
 
 def test_the_grip_is_taken_up_again_after_the_watchdogs_have_fired() -> None:
-    rig = enabled(with_gripper())
+    rig = brought_up(with_gripper())
     rig.driver.grip(0.03)
     cycles(rig, 10)
     rig.clock.sleep_until(rig.clock.now_ns() + 300_000_000)
@@ -115,7 +116,7 @@ def test_the_grip_is_taken_up_again_after_the_watchdogs_have_fired() -> None:
 
 @pytest.mark.fault("B1", "S6")
 def test_a_grip_is_no_ignored_goal_after_an_attempt_that_failed_and_is_taken_up_again_after_the_next() -> None:
-    rig = enabled(with_gripper())
+    rig = brought_up(with_gripper())
     rig.driver.grip(0.03)
     cycles(rig, 10)
     loses(rig, BUS_WATCHDOG, 1, 2, 4, 5, GRIPPER, value=10, count=3)
@@ -133,7 +134,7 @@ def test_a_grip_is_no_ignored_goal_after_an_attempt_that_failed_and_is_taken_up_
 
 
 def test_the_driver_is_a_gripper_too_and_says_when_it_has_none() -> None:
-    rig = enabled()
+    rig = brought_up()
     assert isinstance(rig.driver, Gripper)
     assert rig.driver.grip_state() is None
     with pytest.raises(NoGripperError, match=r"found none that its file describes well enough, expected closed_tick"):

@@ -14,7 +14,8 @@ from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, 
 from drivers.dynamixel.standby import AdoptError, Handover, StandbyDriver
 from drivers.interface import DriverError
 from sim_backend.wire.faults import FaultKind
-from tests.support.servos.dxl_rig import WX200, Rig, build, enabled, loses
+from tests.support.servos.copied_rig import brought_up
+from tests.support.servos.dxl_rig import WX200, Rig, build, loses
 
 TAU = np.array([0.4, 0.3, 0.2, 0.05])
 MS = 1_000_000
@@ -40,7 +41,7 @@ def goals(rig: Rig) -> list[int]:
 
 
 def test_it_looks_at_the_supply_first_which_may_have_fallen_since_bring_up() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     rig.fault(FaultKind.VOLTAGE, voltage_V=11.0)
     commanded(rig, 4)
@@ -56,7 +57,7 @@ def test_it_looks_at_the_supply_first_which_may_have_fallen_since_bring_up() -> 
 
 
 def test_it_takes_the_arm_as_it_is_and_commands_it() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     before, state = goals(rig), rig.driver.read()
     rig.port.writes.clear()
@@ -78,7 +79,7 @@ def test_it_takes_the_arm_as_it_is_and_commands_it() -> None:
 
 
 def test_what_is_prepared_commands_nothing_until_it_has_the_arm() -> None:
-    rig = enabled()
+    rig = brought_up()
     driver = standby(rig)
     rig.port.writes.clear()
     with pytest.raises(NotEnabledError, match="found a connection, expected torque on"):
@@ -101,7 +102,7 @@ def test_one_servo_that_cannot_answer_fast_keeps_all_of_them_from_being_asked_so
 def test_a_handover_survives_the_way_between_two_processes() -> None:
     import json
 
-    rig = enabled()
+    rig = brought_up()
     found = Handover.of(rig.driver)
     again = Handover(tuple(json.loads(json.dumps(found.servos))))
     assert again == found
@@ -109,7 +110,7 @@ def test_a_handover_survives_the_way_between_two_processes() -> None:
 
 
 def test_a_handover_of_another_arm_is_refused() -> None:
-    rig = enabled()
+    rig = brought_up()
     shorter = replace(WX200, joints=WX200.joints[:-1])
     with pytest.raises(AdoptError, match=r"found IDs \[1, 2, 3, 4, 5, 6, 7\], expected IDs \[1, 2, 3, 4, 5, 6\]"):
         Handover.of(rig.driver).servos_of(shorter)
@@ -117,7 +118,7 @@ def test_a_handover_of_another_arm_is_refused() -> None:
 
 @pytest.mark.parametrize("register", [TORQUE_ENABLE, LED], ids=["torque off", "without the mark of bring-up"])
 def test_an_arm_that_is_not_as_it_was_left_is_refused_and_nothing_is_written(register) -> None:
-    rig = enabled()
+    rig = brought_up()
     driver = standby(rig)
     for i in (2, 3, 4, 5, 6):
         rig.put(i, register, 0)
@@ -128,7 +129,7 @@ def test_an_arm_that_is_not_as_it_was_left_is_refused_and_nothing_is_written(reg
 
 
 def test_one_servo_without_torque_does_not_keep_the_others_from_holding() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     dq = rig.driver.read().dq
     driver = standby(rig)
@@ -137,7 +138,7 @@ def test_one_servo_without_torque_does_not_keep_the_others_from_holding() -> Non
 
 
 def test_a_servo_that_does_not_answer_is_not_known_and_the_others_are() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     driver = standby(rig)
     rig.fault(FaultKind.POWER_LOSS, 5)
@@ -146,14 +147,14 @@ def test_a_servo_that_does_not_answer_is_not_known_and_the_others_are() -> None:
 
 
 def test_a_port_that_is_gone_is_the_loops_affair() -> None:
-    rig = enabled()
+    rig = brought_up()
     driver = standby(rig)
     rig.port.lost = True
     assert np.isnan(driver.adopt(np.zeros(4))).all()
 
 
 def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     driver = standby(rig)
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
@@ -166,7 +167,7 @@ def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> Non
 
 
 def test_servos_without_watchdogs_are_those_of_a_process_that_died_while_it_armed_them() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     driver = standby(rig)
     for servo in CONTROLLED:
@@ -178,7 +179,7 @@ def test_servos_without_watchdogs_are_those_of_a_process_that_died_while_it_arme
 
 
 def test_a_servo_that_has_restarted_has_no_watchdog_either_and_is_the_loops_affair() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     driver = standby(rig)
     rig.put(4, BUS_WATCHDOG, 0)
@@ -190,7 +191,7 @@ def test_a_servo_that_has_restarted_has_no_watchdog_either_and_is_the_loops_affa
 @pytest.mark.fault("B1")
 @pytest.mark.parametrize("zero", [False, True], ids=["all that arms", "the zeroes"])
 def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which_tries_again(zero: bool) -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     driver = standby(rig)
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
@@ -210,7 +211,7 @@ def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which
 
 
 def test_servos_whose_watchdog_has_fired_are_left_limp_where_it_is_too_late_to_bring_them_back() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     driver = standby(rig)
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
@@ -224,7 +225,7 @@ def test_servos_whose_watchdog_has_fired_are_left_limp_where_it_is_too_late_to_b
 
 
 def test_too_late_is_limp_for_an_arm_that_does_not_answer_and_not_for_one_that_obeys() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     obeys, gone = standby(rig), standby(rig)
     obeys.adopt(np.zeros(4), brings_back=False)
@@ -234,7 +235,7 @@ def test_too_late_is_limp_for_an_arm_that_does_not_answer_and_not_for_one_that_o
 
 
 def test_watchdogs_that_fired_beside_a_servo_without_torque_are_left_and_the_arm_is_lost() -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     driver = standby(rig)
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
@@ -254,7 +255,7 @@ def test_watchdogs_that_fired_beside_a_servo_without_torque_are_left_and_the_arm
 
 
 def test_the_servo_that_is_blamed_for_a_watchdog_is_the_one_whose_has_fired(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = enabled()
+    rig = brought_up()
     commanded(rig)
     driver = standby(rig)
     rig.put(CONTROLLED[-1], BUS_WATCHDOG, WATCHDOG_TRIPPED)
