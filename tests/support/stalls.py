@@ -122,8 +122,14 @@ def stalled_rows(agents: Mapping[str, NDArray[np.void]], before_s: float = float
             return f"{arm}: three cycles in a row without a reply"
         if early["late_s"].max(initial=0.0) > 0.01:
             return f"{arm}: a cycle {early['late_s'].max() * 1e3:.0f} ms late"
-        since = np.rint(np.diff(early["stamp_ns"].astype(np.int64)) / PERIOD_NS).astype(int)
-        missed = lost[1:] + np.where((since > 1) & (since < PAUSE), since - 1, 0)
+    return ""
+
+
+def slow_rows(agents: Mapping[str, NDArray[np.void]]) -> str:
+    """So many cycles left out that arms may fall off their ways: what excuses a run that ended, and no other."""
+    for arm, rows in agents.items():
+        since = np.rint(np.diff(rows["stamp_ns"].astype(np.int64)) / PERIOD_NS).astype(int)
+        missed = (rows["flags"] & Flag.STALE.value != 0)[1:] + np.where((since > 1) & (since < PAUSE), since - 1, 0)
         most = max((missed[k : k + WINDOW].sum() for k in range(len(missed))), default=0)
         if most > MISSED:
             return f"{arm}: {most} cycles beside {WINDOW} without a state"
@@ -131,8 +137,9 @@ def stalled_rows(agents: Mapping[str, NDArray[np.void]], before_s: float = float
 
 
 def stalled_in(path: Path) -> str:
-    """The same of a file, which may hold nothing: a run that did not begin."""
+    """What the machine did to a run that ended; its file may hold nothing: it did not begin."""
     try:
-        return stalled(read_log(path))
+        log = read_log(path)
     except LogError:
         return ""
+    return stalled(log) or slow_rows(log.agents)
