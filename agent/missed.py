@@ -27,7 +27,7 @@ def periods(period_s: float, t: float, memory: Memory) -> int:
 def caught_up(period_s: float, t: float, memory: Memory) -> Memory:
     """Memory of a mode that goes by its age, as old at t as it would be with a state in every tick before."""
     since = periods(period_s, t, memory)
-    return memory if since == 1 or since == MANY else memory._replace(age=memory.age + (since - 1) * period_s)
+    return memory if since == MANY else memory._replace(age=memory.age + (since - 1) * period_s)
 
 
 def in_time(period_s: float, t: float, memory: Memory) -> Memory:
