@@ -1,7 +1,7 @@
 """Ticks without a state: how many there were before this one, and what is made of them; pure.
 
 What an arm does by the age of its mode goes on by the clock while it misses single ticks: a way that waited for them
-would lie behind the speed that it asks for.  Over a pause it waits, for there the arm stood still or fell.
+would lie behind the speed that it asks for.  Over MANY it waits, for nobody knows what the arm did meanwhile.
 
 Missed once, the hold goes on as it was: only the law knows what the arm carries beyond its share, as of a limp
 neighbour.  Its observer begins anew, for it expects the next period.  Missed again before that is forgotten, the law

@@ -137,7 +137,7 @@ class Drive:
 
     def _duty_cap(self) -> float:
         """Goal PWM bounds the voltage in every mode but its own."""
-        return min(abs(self.goals.pwm), self.goals.pwm_limit) * PWM_UNIT_DUTY
+        return abs(self._duty(self.goals.pwm))
 
     def _current(self, counts: float, supply_V: float, velocity_rad_per_s: float) -> None:
         limit = self.goals.current_limit

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from agent.cycles import WINDOW, Patience
 from agent.log.read import LogError, RunLog, read_log
 from agent.safety import Flag
 
@@ -21,9 +22,9 @@ ATTEMPTS = 3  # a run that the machine stalled is repeated
 # Beyond these shares a process that others must hear in time is not to blame: of the time in which it could have run it
 # waited for a core; of all time somebody waited for one; of all time the host of a virtual machine took it away.
 WAITED, SOMEBODY_WAITED, STOLEN = 0.25, 0.5, 0.02
-# So many cycles of the last hundred without a state: a real arm holds for it, one of the emulator goes on as it can.
-PERIOD_NS, WINDOW, MISSED = 5_000_000, 100, 10
-PAUSE = 10  # periods; what took as long is no slowness: a process that ended, or one that a test stopped
+PERIOD_NS = 5_000_000
+MISSED = round((1.0 - Patience.success_min) * WINDOW)  # above it a real arm holds; one of the emulator goes on
+PAUSE = Patience.gap  # periods; what took as long is no slowness: a process that ended, or one that a test stopped
 CROWD = 4.0  # processes for each core; `make test` by itself has about two
 
 
