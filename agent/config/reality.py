@@ -51,6 +51,9 @@ def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
     if cell.file.simulation.effects.friction:
         sticking = np.random.default_rng([seed, 2])
         arms = {arm.name: _sticking(tolerance, sticking, arm, arms[arm.name]) for arm in cell.arms}
+    if not tolerance.joints_alike:
+        each = np.random.default_rng([seed, 4])
+        arms = {arm.name: _joint_by_joint(tolerance, each, arm.n, arms[arm.name]) for arm in cell.arms}
     if not tolerance.pads_alike:
         unlike = np.random.default_rng([seed, 3])
         arms = {name: _on_own_pads(tolerance, unlike, arm) for name, arm in arms.items()}
@@ -74,6 +77,13 @@ def _jittering_within(real: Reality, jitter_s: float) -> Reality:
 def _worn(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> ArmReality:
     gaps_rad = rng.uniform(0.0, tolerance.backlash_rad, len(arm.zeros_rad))
     return arm.model_copy(update={"backlash_rad": tuple(gaps_rad.tolist())})
+
+
+def _joint_by_joint(tolerance: Tolerance, rng: np.random.Generator, joints: int, arm: ArmReality) -> ArmReality:
+    friction = rng.uniform(*tolerance.friction, joints)
+    masses = rng.uniform(1.0 - tolerance.masses, 1.0 + tolerance.masses, joints)
+    factors = {"joint_friction": tuple(friction.tolist()), "link_masses": tuple(masses.tolist())}
+    return arm.model_copy(update={"friction": 1.0, "masses": 1.0, **factors})
 
 
 def _on_own_pads(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> ArmReality:

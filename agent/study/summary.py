@@ -148,9 +148,9 @@ def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
     believed_s = cell.file.simulated_delay_s
     delay = 1.0 if real.delay_s is None or not believed_s else real.delay_s / believed_s
     scales = {
-        "masses": [a.masses for a in arms],
+        "masses": [a.masses * k for a in arms for k in a.link_masses or (1.0,)],
         "object": [real.object],
-        "friction": [a.friction for a in arms],
+        "friction": [a.friction * k for a in arms for k in a.joint_friction or (1.0,)],
         "delay": [delay],
     }
     return {

@@ -20,6 +20,9 @@ from sim_backend.physics.spec import ArmSpec, GraspSpec, PlantError, PlantSpec
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
+_PER_JOINT = (
+    "zeros_rad", "link_masses", "joint_friction", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad",
+)  # fmt: skip
 _SCALED_FRICTION = frozenset({"coulomb_Nm", "breakaway_Nm", "load", "breakaway_load", "viscous_Nms_rad"})
 
 
@@ -33,7 +36,9 @@ class ArmReality:
     grasp_rad: Vec3 = ZERO  # rotation vector, object axes
     zeros_rad: tuple[float, ...] = ()  # reported less true joint angle
     masses: float = 1.0  # of the links, times what is believed
+    link_masses: tuple[float, ...] = ()  # times that again, of what each joint carries up to the next
     friction: float = 1.0  # of the joints, times what is believed
+    joint_friction: tuple[float, ...] = ()  # times that again, of each joint
     breakaway_Nm: tuple[float, ...] = ()  # above Coulomb friction at rest, whatever is believed
     stribeck_rad_per_s: float = 1.0  # over which that falls off
     load_friction: tuple[float, ...] = ()  # per N·m of the motor, whatever is believed
@@ -101,7 +106,7 @@ def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
         T_object_ee=pin.SE3(R_grasp @ believed_grasp.rotation, believed_grasp.translation + np.array(real.grasp_m)),
         actuator=_actuator(arm, real, reality),
         friction=_friction(arm, real),
-        masses=real.masses * arm.masses,
+        masses=real.masses * arm.masses * _each(real.link_masses),
         pads=(real.pads_N_per_m, real.pads_Nm_per_rad),
         skew_s=arm.skew_s + real.skew_s,
     )
@@ -109,7 +114,7 @@ def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
 
 def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
     spec = arm.actuator
-    for key in ("zeros_rad", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad"):
+    for key in _PER_JOINT:
         if len(values := getattr(real, key)) not in (0, spec.joint_count):
             raise PlantError(
                 f"reality of arm {arm.name}: {key}",
@@ -117,23 +122,29 @@ def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
                 expected=f"one per controlled joint, {spec.joint_count}",
                 remedy="give as many, or leave it out",
             )
+    rubs = real.friction * _each(real.joint_friction)
     return replace(
         spec,
         zero_error_rad=spec.zero_error_rad + (np.array(real.zeros_rad) if real.zeros_rad else 0.0),
-        torque_scale=spec.torque_scale * (np.array(real.torque_constant) if real.torque_constant else 1.0),
+        torque_scale=spec.torque_scale * _each(real.torque_constant),
         backlash_rad=np.array(real.backlash_rad) if real.backlash_rad else spec.backlash_rad,
-        coulomb_Nm=real.friction * spec.coulomb_Nm,
-        viscous_Nms_rad=real.friction * spec.viscous_Nms_rad,
+        coulomb_Nm=rubs * spec.coulomb_Nm,
+        viscous_Nms_rad=rubs * spec.viscous_Nms_rad,
         delay_s=spec.delay_s if reality.delay_s is None else reality.delay_s,
         delay_jitter_s=reality.delay_jitter_s,
     )
+
+
+def _each(factors: tuple[float, ...]) -> Vector | float:
+    """One per controlled joint, or 1 of all."""
+    return np.array(factors) if factors else 1.0
 
 
 def _friction(arm: ArmSpec, real: ArmReality) -> FrictionSpec | None:
     """With presliding where its joints are believed to stick, or do."""
     if arm.friction is None and not (real.breakaway_Nm or real.load_friction):
         return None
-    spec, times = arm.friction or FrictionSpec.smooth(arm.actuator), real.friction
+    spec, times = arm.friction or FrictionSpec.smooth(arm.actuator), real.friction * _each(real.joint_friction)
     scaled = FrictionSpec(
         **{f.name: (times if f.name in _SCALED_FRICTION else 1.0) * getattr(spec, f.name) for f in fields(spec)}
     )

@@ -93,7 +93,8 @@ class ArmSpec:
     rotor_inertia: Vector  # (n,) kg·m², reflected to the joint
     actuator: ActuatorSpec
     friction: FrictionSpec | None = None  # with presliding, in place of the actuator's smooth friction
-    masses: float = 1.0  # of the links, times what the URDF says; their inertia with them
+    # (n,), or one of all, of what each joint carries up to the next: times what the URDF says
+    masses: Vector = field(default_factory=lambda: np.ones(1))
     pads: tuple[float | None, float | None] = (None, None)  # N/m, N·m/rad of its grasp; None: as the cell's
     skew_s: float = 0.0  # by which this arm's clock is ahead of the plant's
 
@@ -130,11 +131,12 @@ class ArmSpec:
                 expected=f"{n}",
                 remedy="describe the friction of exactly the controlled joints",
             )
-        if not (math.isfinite(self.masses) and self.masses > 0.0 and math.isfinite(self.skew_s)):
+        object.__setattr__(self, "masses", read_only(np.broadcast_to(self.masses, n)))
+        if not (np.all(np.isfinite(self.masses) & (self.masses > 0.0)) and math.isfinite(self.skew_s)):
             raise PlantError(
                 f"arm {self.name}: masses, skew_s",
-                found=f"{self.masses:g}, {self.skew_s:g}",
-                expected="a positive factor and a finite time",
+                found=f"{self.masses.tolist()}, {self.skew_s:g}",
+                expected="positive factors and a finite time",
                 remedy="correct the arm's reality",
             )
         if not all(k is None or (math.isfinite(k) and k > 0.0) for k in self.pads):

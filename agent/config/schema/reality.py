@@ -19,12 +19,15 @@ Gap = Annotated[float, Field(ge=0.0, le=0.1)]  # rad
 Offsets = Annotated[tuple[Offset, Offset, Offset], AS_LIST]
 Turns = Annotated[tuple[Turn, Turn, Turn], AS_LIST]
 Times = Annotated[float, Field(ge=0.05, le=20.0)]  # what the files say
+Friction = Annotated[float, Field(ge=0.0, le=20.0)]  # times what the files say
 Seconds = Annotated[float, Field(ge=0.0, le=0.5)]
 Rub = Annotated[float, Field(ge=0.0, le=20.0)]  # N·m
 LoadPart = Annotated[float, Field(ge=0.0, le=0.9)]  # of the motor's torque
 STIFFNESSES: Final = ("pads_N_per_m", "pads_Nm_per_rad")
 NOTHING = (0.0, 0.0, 0.0)
-PER_JOINT: Final = ("zeros_rad", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad")
+PER_JOINT: Final = (
+    "zeros_rad", "link_masses", "joint_friction", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad",
+)  # fmt: skip
 
 
 class ArmReality(Strict):
@@ -42,8 +45,12 @@ class ArmReality(Strict):
     """Reported angle less true, one per controlled joint; empty: no error."""
     masses: Times = 1.0
     """Times the masses of its links."""
-    friction: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0
+    link_masses: Annotated[tuple[Times, ...], AS_LIST] = ()
+    """Times that again, of what each controlled joint carries up to the next; empty: alike."""
+    friction: Friction = 1.0
     """Times the friction of its joints, as its file has it."""
+    joint_friction: Annotated[tuple[Friction, ...], AS_LIST] = ()
+    """Times that again, one per controlled joint; empty: alike."""
     breakaway_Nm: Annotated[tuple[Rub, ...], AS_LIST] = ()
     """Above Coulomb friction at rest, in the place of the arm file's, one per controlled joint; empty: as there."""
     stribeck_rad_per_s: Annotated[float, Field(ge=1e-3, le=100.0)] = 1.0

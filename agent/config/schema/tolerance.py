@@ -75,6 +75,8 @@ class Tolerance(Strict):
     """Friction above Coulomb at rest, times that, of arms whose files have none; 0: none is drawn."""
     load_friction: LoadPart = 0.0
     """Friction per N·m of the motor, of arms whose files have none; 0: none is drawn."""
+    joints_alike: bool = True
+    """Whether one factor is that of all joints' friction of an arm, and one that of all its masses; false: of each."""
     torque_constant: Part = 0.1
     """Part, of each servo."""
     pads_N_per_m: Annotated[tuple[LinearStiffness, LinearStiffness], AS_LIST, AfterValidator(_ascending)] = (1e3, 1e6)

@@ -189,12 +189,19 @@ def _add_object(world: Any, spec: PlantSpec) -> Any:
     return body
 
 
+def _weigh(link: Any, masses: Mapping[str, float], carried: float) -> None:
+    """Make a link and all behind it as heavy as they are; carried: factor of the joint before it."""
+    times = next((masses[joint.name] for joint in link.joints if joint.name in masses), carried)
+    link.mass *= times
+    link.inertia *= times
+    link.fullinertia *= times
+    for behind in link.bodies:
+        _weigh(behind, masses, times)
+
+
 def _add_arm(world: Any, arm: ArmSpec) -> None:
     base, read = arm.T_world_base, mujoco.MjSpec.from_string(_locked(arm.urdf_xml, arm.locked_rad))
-    for link in read.bodies:
-        link.mass *= arm.masses
-        link.inertia *= arm.masses
-        link.fullinertia *= arm.masses
+    _weigh(read.worldbody, dict(zip(arm.controlled, arm.masses.tolist(), strict=True)), 1.0)
     frame = world.worldbody.add_frame(pos=base.translation, quat=_quat(base.rotation))
     world.attach(read, prefix=f"{arm.name}/", frame=frame)
     friction = arm.actuator if arm.friction is None else arm.friction

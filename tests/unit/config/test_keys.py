@@ -29,6 +29,7 @@ BARE = (  # numbers that have no unit
     "damping_ratio", "masses", "object", "friction",
     "torque_constant", "pads_damping_ratio", "delay", "seed", "quat_start", "quat_world_base", "quat_object_ee",
     "quat_centre", "quat_from", "quat_to", "quat", "axis", "mark", "load_friction",
+    "link_masses", "joint_friction",
 )  # fmt: skip
 
 

@@ -166,6 +166,29 @@ def test_grasps_are_alike_unless_the_cell_says_that_each_is_its_own() -> None:
     assert [arm.pads for arm in made.arms] == [(a.pads_N_per_m, a.pads_Nm_per_rad) for a in drawn[3].arms.values()]
 
 
+def test_joints_of_an_arm_are_alike_unless_the_cell_says_that_each_is_its_own() -> None:
+    alike, unlike = (cell("three_wx250s", *more) for more in ((), ("tolerance.joints_alike=false",)))
+    drawn = [draw(unlike.file.tolerance, seed, unlike) for seed in range(40)]
+    arms = [arm for r in drawn for arm in r.arms.values()]
+    assert {(arm.friction, arm.masses) for arm in arms} == {(1.0, 1.0)}
+    for key, (low, high) in (("joint_friction", alike.tolerance.friction), ("link_masses", (0.9, 1.1))):
+        each = [factor for arm in arms for factor in getattr(arm, key)]
+        assert len(set(each)) == 40 * 3 * 6
+        near = 0.05 * (high - low)
+        assert low <= min(each) < low + near
+        assert high - near < max(each) <= high
+    plain = draw(alike.file.tolerance, 3, alike)
+    for name, arm in drawn[3].arms.items():
+        own = {"friction", "masses", "joint_friction", "link_masses"}
+        assert arm.model_dump(exclude=own) == plain.arms[name].model_dump(exclude=own)
+        assert plain.arms[name].joint_friction == plain.arms[name].link_masses == ()
+    made = plant_spec(cell("three_wx250s", "tolerance.joints_alike=false", f"{REAL}seed=3"), start_joints(unlike))
+    for arm, given in zip(made.arms, drawn[3].arms.values(), strict=True):
+        assert tuple(arm.masses.tolist()) == given.link_masses
+        filed = np.array([servo.coulomb_Nm.value for servo in unlike.arms[0].servos])
+        np.testing.assert_allclose(arm.actuator.coulomb_Nm, filed * given.joint_friction)
+
+
 def test_joints_that_do_not_rub_and_files_that_have_such_friction_draw_none() -> None:
     smooth = cell("paper", *RUBBING, "simulation.effects.friction=false")
     c = cell("paper", *RUBBING)
@@ -306,6 +329,8 @@ def test_joints_that_do_not_rub_are_given_no_friction(key: str) -> None:
         ("simulation.reality.arms.left.zeros_rad=[0.1, 0.1]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.torque_constant=[1.1]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.backlash_rad=[0.01]", "one per controlled joint, 3"),
+        ("simulation.reality.arms.right.link_masses=[1.1]", "one per controlled joint, 3"),
+        ("simulation.reality.arms.right.joint_friction=[1.1]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.breakaway_Nm=[0.01]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.load_friction=[0.01]", "one per controlled joint, 3"),
         ("simulation.reality.delay=1.1", "simulation.reality.delay"),

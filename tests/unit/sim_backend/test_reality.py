@@ -50,7 +50,7 @@ def test_reality_without_errors_is_what_is_believed() -> None:
         assert np.array_equal(real.T_object_ee.homogeneous, believed.T_object_ee.homogeneous)
         assert np.array_equal(real.actuator.torque_scale, believed.actuator.torque_scale)
         assert real.actuator.delay_s == believed.actuator.delay_s
-        assert (real.masses, real.skew_s) == (1.0, 0.0)
+        assert (real.masses.tolist(), real.skew_s) == ([1.0, 1.0, 1.0], 0.0)
         assert np.array_equal(real.actuator.zero_error_rad, np.zeros(3))
     assert np.array_equal(same.object.inertia, spec.object.inertia)
     assert same.grasp is None
@@ -125,7 +125,27 @@ def test_masses_scale_the_links_and_not_the_rotors() -> None:
     assert np.array_equal(real.rotor_inertia, spec.arms[0].rotor_inertia)
     heavier = replace(spec, arms=(replace(spec.arms[0], masses=2.0, skew_s=0.001), spec.arms[1]))
     twice = realised(heavier, only(spec, masses=1.2, skew_s=0.002)).arms[0]
-    assert (twice.masses, twice.skew_s) == (pytest.approx(2.4), pytest.approx(0.003))
+    assert (twice.masses.tolist(), twice.skew_s) == (pytest.approx([2.4, 2.4, 2.4]), pytest.approx(0.003))
+
+
+def test_each_joint_may_have_links_and_friction_of_its_own() -> None:
+    spec = planar_cell(SERVOS)
+    sticking = replace(spec, arms=(replace(spec.arms[0], friction=FrictionSpec(*np.full((7, 3), 0.1))), spec.arms[1]))
+    errors = only(spec, masses=1.2, link_masses=(1.0, 0.5, 2.0), friction=0.5, joint_friction=(1.0, 3.0, 0.2))
+    left, right = realised(sticking, errors).arms
+    believed = arm_model(spec.arms[0]).inertias[1:]
+    for times, one, other in zip((1.2, 0.6, 2.4), believed, arm_model(left).inertias[1:], strict=True):
+        assert other.mass == pytest.approx(times * one.mass)
+        np.testing.assert_allclose(other.inertia, times * one.inertia)
+        np.testing.assert_allclose(other.lever, one.lever)
+    rubs = np.array([0.5, 1.5, 0.1])
+    np.testing.assert_allclose(left.actuator.coulomb_Nm, rubs * SERVOS.coulomb_Nm)
+    np.testing.assert_allclose(left.actuator.viscous_Nms_rad, rubs * SERVOS.viscous_Nms_rad)
+    assert left.friction is not None
+    np.testing.assert_allclose(left.friction.breakaway_Nm, 0.1 * rubs)
+    np.testing.assert_allclose(left.friction.viscous_Nms_rad, 0.1 * rubs)
+    assert right.masses.tolist() == [1.0, 1.0, 1.0]
+    assert np.array_equal(right.actuator.coulomb_Nm, SERVOS.coulomb_Nm)
 
 
 def test_friction_torque_constants_delay_and_skew_reach_the_servos() -> None:

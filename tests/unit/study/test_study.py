@@ -679,6 +679,24 @@ def test_unlike_pads_enter_as_their_geometric_mean() -> None:
     assert errors_of(plain, c)["pads_N_per_m"] == plain.pads_N_per_m
 
 
+def test_factors_of_single_joints_enter_with_their_mean_and_how_far_each_is_off() -> None:
+    c = cell("tolerance.joints_alike=false")
+    real = draw(c.file.tolerance, 3, c)
+    rubs, weighs = (
+        np.array([k for arm in real.arms.values() for k in getattr(arm, key)])
+        for key in ("joint_friction", "link_masses")
+    )
+    found = errors_of(real, c)
+    for name, each in (("friction", rubs), ("masses", weighs)):
+        assert found[name] == pytest.approx(each.mean())
+        assert found[f"{name}_off"] == pytest.approx(np.abs(each - 1.0).mean())
+    twice = real.model_copy(
+        update={"arms": {n: a.model_copy(update={"friction": 2.0, "masses": 3.0}) for n, a in real.arms.items()}}
+    )
+    assert errors_of(twice, c)["friction"] == pytest.approx(2.0 * rubs.mean())
+    assert errors_of(twice, c)["masses"] == pytest.approx(3.0 * weighs.mean())
+
+
 def test_errors_that_a_study_draws_where_they_are_stated_are_in_its_table_and_among_what_matters() -> None:
     c = cell(
         "tolerance.backlash_rad=0.006", "tolerance.delay_jitter_s=0.002",
