@@ -119,7 +119,8 @@ def test_backlash_and_jitter_are_drawn_up_to_what_is_stated_each_by_itself() -> 
     assert made.delay_jitter_s == jitters[3]
 
 
-DRAWN = (0.002591812932216864, 0.02702433483322102, 1.1908067166587966, 0.0025957792674616066, 4964.9090777386145)
+DRAWN = (0.002591812932216864, 0.02702433483322102, 1.1908067166587966, 0.0025957792674616066, 4964.9090777386145,
+         0.6505855320952851, 0.9398740693942322)  # fmt: skip
 RUBBING = ("tolerance.breakaway=0.8", "tolerance.load_friction=0.06")
 
 
@@ -203,7 +204,7 @@ def test_joints_that_do_not_rub_and_files_that_have_such_friction_draw_none() ->
 
 
 def test_a_seed_draws_what_it_drew_of_what_is_drawn_where_it_is_stated() -> None:
-    c = cell("paper", *WORN, *RUBBING, "tolerance.pads_alike=false")
+    c = cell("paper", *WORN, *RUBBING, "tolerance.pads_alike=false", "tolerance.joints_alike=false")
     right = draw(c.file.tolerance, 7, c).arms["right"]
     assert (
         right.backlash_rad[0],
@@ -211,6 +212,8 @@ def test_a_seed_draws_what_it_drew_of_what_is_drawn_where_it_is_stated() -> None
         right.stribeck_rad_per_s,
         right.load_friction[0],
         right.pads_N_per_m,
+        right.joint_friction[0],
+        right.link_masses[0],
     ) == pytest.approx(DRAWN, rel=1e-12)
 
 
