@@ -131,8 +131,7 @@ class _Recorder:
         self._budget_s = time.monotonic()
         self._open(options.path)
         self._completeness: dict[str, str] | None = None
-        self._status_s, self._cause = 0.0, ""
-        self._taken = False  # anything since the status was made
+        self._status_s, self._cause, self._taken = 0.0, "", False  # taken: anything since the status was made
         self._kept: dict[str, StreamStatus] | None = None  # what is in the log, once it has ended before its time
         self._to_write = False  # of a stream that has ended: its publisher goes once it is told that all is here
         self._refresh_status()
@@ -154,9 +153,10 @@ class _Recorder:
         if now_s - self._budget_s >= _BUDGET_S:
             self._make_room(now_s)
         if self._log.nearly_full and self._completeness is None:
-            self._say(Level.ERROR, "disk nearly full: the log ends here", {})
+            self.failure = "disk nearly full"
+            self._say(Level.ERROR, f"{self.failure}: the log ends here", {})
             self.finish()
-        cause = self.failure or self._log.failure or ("disk nearly full" if self._log.nearly_full else "")
+        cause = self.failure or self._log.failure or ""
         if cause and self._kept is None:
             lost = None if self._log.removed else self._channels.rows_lost()
             self._kept = {key: _kept(stream, lost) for key, stream in self._intake.streams.items()}

@@ -430,7 +430,8 @@ def test_a_disk_that_is_nearly_full_ends_the_log_with_its_reason(folder: Path) -
     with Process(record_on_a_disk_nearly_full, options) as rec:
         sent = send_all(folder / "left.ring", 100, rec.ready())
         assert rec.ready() == "run.mcap: disk nearly full", "told while it runs"
-        rec.stop()
+        report = rec.stop()
+    assert (report.failure, report.complete) == ("disk nearly full", False)
     assert sent.rows_unrecorded == 100 - len(read_log(folder / "run.mcap").agents["left"])
     assert "disk nearly full: the log ends here" in [event.text for event in read_log(folder / "run.mcap").events]
 
