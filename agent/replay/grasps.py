@@ -18,13 +18,14 @@ from agent.report.series import attitude_error, grasp_force, nearest, rotation_v
 from agent.safety import Flag
 
 NO_TIME_S = 1e9  # thirty years
+NO_POSE = 1e6  # m, and of a quaternion: of a damaged row
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """One arm over the rows in which all of them follow the trajectory; NaN where the log cannot tell."""
+    """One arm over the rows in which all of them follow the trajectory and see the object somewhere."""
 
     arm: str
     rows: int
@@ -60,14 +61,22 @@ def grasps(log: ColumnLog, cell: Cell) -> Grasps:
             remedy="take a run that got as far as TRACK",
         )  # fmt: skip
     poses = {name: _pose(rows, at[name][common]) for name, rows in seen.items()}
-    p, quat = _pose(plant, np.flatnonzero(common)) if plant is not None else _mean(poses)
+    truth = None if plant is None else _pose(plant, np.flatnonzero(common))
+    known: NDArray[np.bool_] = np.all([_known(of) for of in (*poses.values(), *([truth] if truth else []))], axis=0)
+    if not known.any():
+        raise ReplayError(
+            f"grasps of {log.path}", found="no tick in which every arm follows with a pose that is a number",
+            expected="some", remedy="take another log: this one is damaged",
+        )  # fmt: skip
+    poses = {name: (p[known], quat[known]) for name, (p, quat) in poses.items()}
+    p, quat = (truth[0][known], truth[1][known]) if truth is not None else _mean(poses)
     found = []
     for name, (p_arm, quat_arm) in poses.items():
         turned = rotation_vector(attitude_error(quat, quat_arm))
         arm = cell.arm(name)
         found.append(
             Grasp(
-                name, int(common.sum()), float(np.linalg.norm((p_arm - p).mean(axis=0))),
+                name, int(known.sum()), float(np.linalg.norm((p_arm - p).mean(axis=0))),
                 float(np.linalg.norm(turned.mean(axis=0))),
                 _force(seen[name], plant, cell.index(name)), arm.entry.grip_force_max_N,
             )
@@ -104,6 +113,12 @@ def _pose(rows: Table, at: NDArray[np.intp]) -> tuple[Array, Array]:
     return np.asarray(rows["p_object"][at]), np.asarray(rows["quat_object"][at])
 
 
+def _known(pose: tuple[Array, Array]) -> NDArray[np.bool_]:
+    """(T,) of which there is a pose: NaN is none."""
+    known: NDArray[np.bool_] = np.all([np.all(np.abs(part) < NO_POSE, axis=1) for part in pose], axis=0)
+    return known
+
+
 def _mean(poses: Mapping[str, tuple[Array, Array]]) -> tuple[Array, Array]:
     """The mean of near poses; its quaternions are not of length 1."""
     p = np.mean([p for p, _ in poses.values()], axis=0)
@@ -115,4 +130,6 @@ def _mean(poses: Mapping[str, tuple[Array, Array]]) -> tuple[Array, Array]:
 def _force(rows: Table, plant: Table | None, number: int) -> float:
     """The largest force on the grasp: the true one, or the one commanded."""
     force = rows.column("wrench_cmd", slice(0, 3)) if plant is None else grasp_force(plant, number)
-    return float(np.nanmax(np.linalg.norm(force, axis=1), initial=0.0))
+    with np.errstate(over="ignore"):  # of a damaged row, which counts as none
+        size = np.linalg.norm(force, axis=1)
+    return float(np.max(size, initial=0.0, where=np.isfinite(size)))

@@ -11,6 +11,7 @@ from agent.log.columns import Table
 from agent.log.read import ColumnLog, open_log
 from agent.modes import Mode
 from agent.replay.grasps import grasps
+from agent.replay.source import ReplayError
 from agent.safety import Flag
 from tests.support.runner_rig import paper, run
 from tests.support.telemetry.run_log import write_run
@@ -46,6 +47,25 @@ def test_arms_differ_from_their_mean_by_half_of_what_they_differ_by(tmp_path: Pa
         assert arm.offset_m == pytest.approx(1e-3)
         assert arm.offset_rad == pytest.approx(TURN / 2, rel=1e-9)
     assert [arm.force_max_N for arm in found.arms] == [13.0, 0.25]
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e300])
+@pytest.mark.parametrize("whose", ["an arm", "the truth"])
+def test_a_row_without_a_pose_or_a_force_that_are_numbers_counts_as_none(wrong: float, whose: str) -> None:
+    left, right = rows(40), rows(40)
+    plant = plant_rows(left)
+    sound = grasps(log_of(left.copy(), right.copy(), plant.copy()), paper())
+    struck = {"an arm": left, "the truth": plant}[whose]
+    struck["p_object"][20, 0] = wrong
+    plant["grasp_wrench"][21, [0, 6]] = wrong
+    found = grasps(log_of(left, right, plant), paper())
+    assert [arm.rows for arm in found.arms] == [arm.rows - 1 for arm in sound.arms]
+    for arm, before in zip(found.arms, sound.arms, strict=True):
+        assert arm.offset_m == pytest.approx(before.offset_m, rel=0.2, abs=1e-4)
+        assert arm.force_max_N == before.force_max_N
+    struck["p_object"][:, 1] = wrong
+    with pytest.raises(ReplayError, match="no tick in which every arm follows with a pose that is a number"):
+        grasps(log_of(left, right, plant), paper())
 
 
 PERIOD_NS = 5_000_000  # of the paper's cell
