@@ -38,7 +38,12 @@ class Moment:
     @property
     def weighty(self) -> bool:
         """A change of mode, or grave."""
-        return self.grave or "→" in self.text
+        return self.grave or self.of_mode
+
+    @property
+    def of_mode(self) -> bool:
+        """A change of mode, and not of a register."""
+        return self.text.startswith("mode ")
 
     @property
     def line(self) -> str:
@@ -94,8 +99,8 @@ def _by_the_wall(run: Prepared) -> bool:
 def marks(moments: Sequence[Moment], first: float, last: float) -> tuple[tuple[float, str], ...]:
     """What stands on a time axis, each once, nothing over its neighbour: changes of mode first, then what is grave."""
     found: dict[str, float] = {}
-    for moment in sorted(moments, key=lambda m: ("→" not in m.text, not m.grave, m.t)):
-        label = moment.text.rpartition("→")[2].removeprefix("safety:").strip()
+    for moment in sorted(moments, key=lambda m: (not m.of_mode, not m.grave, m.t)):
+        label = (moment.text.rpartition("→")[2] if moment.of_mode else moment.text.removeprefix("safety:")).strip()
         clear = all(abs(moment.t - t) > _APART * (last - first) for t in found.values())
         if moment.weighty and clear and label not in found and first <= moment.t <= last and len(found) < MARKS_MAX:
             found[label] = moment.t

@@ -8,6 +8,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -533,6 +534,11 @@ def test_the_slider_shows_each_thing_once_and_apart() -> None:
     assert marks([*flood, hold, told], 0.0, 10.0) == ((0.0, "saturated"), (5.0, "HOLD"))
     close = Moment(5.5, "left", "safety: singular", True)
     assert marks([hold, close], 0.0, 10.0) == ((5.0, "HOLD"),)
+    written = Moment(5.0, "left", "EEPROM written (servo 1, waist): Operating Mode 3 → 5")
+    assert not written.weighty
+    assert marks([written, replace(written, grave=True, t=9.0), hold], 0.0, 10.0) == (
+        (5.0, "HOLD"), (9.0, written.text),
+    )  # fmt: skip
 
 
 def test_curves_are_error_disagreement_and_forces() -> None:
