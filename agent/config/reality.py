@@ -53,7 +53,7 @@ def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
         arms = {arm.name: _sticking(tolerance, sticking, arm, arms[arm.name]) for arm in cell.arms}
     if not tolerance.joints_alike:
         each = np.random.default_rng([seed, 4])
-        arms = {arm.name: _joint_by_joint(tolerance, each, arm.n, arms[arm.name]) for arm in cell.arms}
+        arms = {name: _joint_by_joint(tolerance, each, arm) for name, arm in arms.items()}
     if not tolerance.pads_alike:
         unlike = np.random.default_rng([seed, 3])
         arms = {name: _on_own_pads(tolerance, unlike, arm) for name, arm in arms.items()}
@@ -79,7 +79,8 @@ def _worn(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> Ar
     return arm.model_copy(update={"backlash_rad": tuple(gaps_rad.tolist())})
 
 
-def _joint_by_joint(tolerance: Tolerance, rng: np.random.Generator, joints: int, arm: ArmReality) -> ArmReality:
+def _joint_by_joint(tolerance: Tolerance, rng: np.random.Generator, arm: ArmReality) -> ArmReality:
+    joints = len(arm.zeros_rad)
     friction = rng.uniform(*tolerance.friction, joints)
     masses = rng.uniform(1.0 - tolerance.masses, 1.0 + tolerance.masses, joints)
     factors = {"joint_friction": tuple(friction.tolist()), "link_masses": tuple(masses.tolist())}

@@ -60,16 +60,18 @@ def grasps(log: ColumnLog, cell: Cell) -> Grasps:
             f"grasps of {log.path}", found="no tick in which every arm follows the trajectory", expected="some",
             remedy="take a run that got as far as TRACK",
         )  # fmt: skip
-    poses = {name: _pose(rows, at[name][common]) for name, rows in seen.items()}
-    truth = None if plant is None else _pose(plant, np.flatnonzero(common))
-    known: NDArray[np.bool_] = np.all([_known(of) for of in (*poses.values(), *([truth] if truth else []))], axis=0)
+    every = [_pose(rows, at[name][common]) for name, rows in seen.items()]
+    if plant is not None:
+        every.append(_pose(plant, np.flatnonzero(common)))
+    known: NDArray[np.bool_] = np.all([_known(pose) for pose in every], axis=0)
     if not known.any():
         raise ReplayError(
             f"grasps of {log.path}", found="no tick in which every arm follows with a pose that is a number",
             expected="some", remedy="take another log: this one is damaged",
         )  # fmt: skip
-    poses = {name: (p[known], quat[known]) for name, (p, quat) in poses.items()}
-    p, quat = (truth[0][known], truth[1][known]) if truth is not None else _mean(poses)
+    every = [(p[known], quat[known]) for p, quat in every]
+    poses = dict(zip(seen, every[: len(seen)], strict=True))
+    p, quat = _mean(poses) if plant is None else every[-1]
     found = []
     for name, (p_arm, quat_arm) in poses.items():
         turned = rotation_vector(attitude_error(quat, quat_arm))

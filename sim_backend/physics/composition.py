@@ -78,7 +78,7 @@ def _lock(arm: ArmSpec, full: pin.Model) -> pin.Model:
             q[full.joints[number].idx_q] = arm.locked_rad[joint]
             locked.append(number)
     model = pin.buildReducedModel(full, locked, q)
-    for number, times in enumerate(arm.masses.tolist(), start=1) if np.any(arm.masses != 1.0) else ():
+    for number, times in enumerate(arm.masses.tolist(), start=1):
         body = model.inertias[number]
         model.inertias[number] = pin.Inertia(times * body.mass, body.lever, times * body.inertia)
     return model

@@ -20,9 +20,6 @@ from sim_backend.physics.spec import ArmSpec, GraspSpec, PlantError, PlantSpec
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
-_PER_JOINT = (
-    "zeros_rad", "link_masses", "joint_friction", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad",
-)  # fmt: skip
 _SCALED_FRICTION = frozenset({"coulomb_Nm", "breakaway_Nm", "load", "breakaway_load", "viscous_Nms_rad"})
 
 
@@ -97,7 +94,19 @@ def _is_moved(arm: ArmReality | None) -> bool:
     return arm is not None and any(map(any, (arm.base_m, arm.base_rad, arm.grasp_m, arm.grasp_rad)))
 
 
+def _require_fit(arm: ArmSpec, real: ArmReality) -> None:
+    for key in (f.name for f in fields(real) if f.default == ()):
+        if len(values := getattr(real, key)) not in (0, len(arm.controlled)):
+            raise PlantError(
+                f"reality of arm {arm.name}: {key}",
+                found=f"{len(values)} values",
+                expected=f"one per controlled joint, {len(arm.controlled)}",
+                remedy="give as many, or leave it out",
+            )
+
+
 def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
+    _require_fit(arm, real)
     R_base, R_grasp = pin.exp3(np.array(real.base_rad)), pin.exp3(np.array(real.grasp_rad))
     believed_base, believed_grasp = arm.T_world_base, arm.T_object_ee
     return replace(
@@ -114,14 +123,6 @@ def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
 
 def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
     spec = arm.actuator
-    for key in _PER_JOINT:
-        if len(values := getattr(real, key)) not in (0, spec.joint_count):
-            raise PlantError(
-                f"reality of arm {arm.name}: {key}",
-                found=f"{len(values)} values",
-                expected=f"one per controlled joint, {spec.joint_count}",
-                remedy="give as many, or leave it out",
-            )
     rubs = real.friction * _each(real.joint_friction)
     return replace(
         spec,

@@ -25,9 +25,6 @@ Rub = Annotated[float, Field(ge=0.0, le=20.0)]  # N·m
 LoadPart = Annotated[float, Field(ge=0.0, le=0.9)]  # of the motor's torque
 STIFFNESSES: Final = ("pads_N_per_m", "pads_Nm_per_rad")
 NOTHING = (0.0, 0.0, 0.0)
-PER_JOINT: Final = (
-    "zeros_rad", "link_masses", "joint_friction", "torque_constant", "breakaway_Nm", "load_friction", "backlash_rad",
-)  # fmt: skip
 
 
 class ArmReality(Strict):
@@ -146,7 +143,7 @@ class Reality(Strict):
             where = f"simulation.reality.arms.{name}"
             if name not in joints:
                 raise wrong(where, found=name, expected=" or ".join(joints), remedy="name an arm of the cell")
-            for key in PER_JOINT:
+            for key in (key for key, field in ArmReality.model_fields.items() if field.default == ()):
                 values = getattr(arm, key)
                 if values and len(values) != joints[name]:
                     raise wrong(
