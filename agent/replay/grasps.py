@@ -116,8 +116,9 @@ def _pose(rows: Table, at: NDArray[np.intp]) -> tuple[Array, Array]:
 
 
 def _known(pose: tuple[Array, Array]) -> NDArray[np.bool_]:
-    """(T,) of which there is a pose: NaN is none."""
-    known: NDArray[np.bool_] = np.all([np.all(np.abs(part) < NO_POSE, axis=1) for part in pose], axis=0)
+    """(T,) of which there is a pose: NaN is none, nor is a quaternion of zeros, whose largest should be 0.5 or more."""
+    p, quat = (np.abs(part).max(axis=1) for part in pose)
+    known: NDArray[np.bool_] = (p < NO_POSE) & (quat > 0.1) & (quat < NO_POSE)
     return known
 
 

@@ -68,6 +68,17 @@ def test_a_row_without_a_pose_or_a_force_that_are_numbers_counts_as_none(wrong: 
         grasps(log_of(left, right, plant), paper())
 
 
+@pytest.mark.parametrize("whose", ["an arm", "the truth"])
+def test_a_quaternion_of_zeros_is_no_attitude(whose: str) -> None:
+    left, right = rows(40), rows(40)
+    plant = plant_rows(left)
+    sound = grasps(log_of(left.copy(), right.copy(), plant.copy()), paper())
+    {"an arm": left, "the truth": plant}[whose]["quat_object"][20] = 0.0
+    found = grasps(log_of(left, right, plant), paper())
+    assert [arm.rows for arm in found.arms] == [arm.rows - 1 for arm in sound.arms]
+    assert all(np.isfinite(arm.offset_rad) for arm in found.arms)
+
+
 PERIOD_NS = 5_000_000  # of the paper's cell
 
 
