@@ -154,7 +154,7 @@ class _Recorder:
             self._make_room(now_s)
         if self._log.nearly_full and self._completeness is None:
             self.failure = "disk nearly full"
-            self._say(Level.ERROR, f"{self.failure}: the log ends here", {})
+            self._say(Level.ERROR, "disk nearly full: the log ends here", {})
             self.finish()
         cause = self.failure or self._log.failure or ""
         if cause and self._kept is None:
