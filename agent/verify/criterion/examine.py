@@ -12,7 +12,7 @@ at again more finely, at the other delays, where the rigid cell is worst, and wi
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from agent.verify.criterion.bodies import Pose
@@ -74,10 +74,15 @@ def sweep(judge: Judge, ranges: Ranges) -> list[Found]:
         return rank(judge, ranges, alone(1, ranges, every, ranges.delays), kept=KEPT)
     found = rank(judge, ranges, rigid(ranges, every, ranges.delays), kept=KEPT)
     elsewhere = found[0].case.place
-    places = sorted({0, elsewhere, *every[:: max(1, len(every) // PLACES_ALONE)]})
-    found += rank(judge, ranges, alone(count, ranges, places, ranges.delays), kept=KEPT)
+    found += rank(judge, ranges, alone(count, ranges, _places(judge, {elsewhere}), ranges.delays), kept=KEPT)
     found += _soft(judge, ranges, elsewhere, longest, others)
     return sorted(found, key=_by_radius)
+
+
+def _places(judge: Judge, more: Iterable[int]) -> list[int]:
+    """Where the arms are looked at alone."""
+    every = range(len(judge.poses))
+    return sorted({0, *more, *every[:: max(1, len(every) // PLACES_ALONE)]})
 
 
 def _soft(judge: Judge, ranges: Ranges, elsewhere: int, longest: float, others: Sequence[float]) -> list[Found]:
@@ -139,8 +144,8 @@ def _by_radius(found: Found) -> float:
 def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float | None:
     """Longest delay, in periods, at which everything is stable; None: not even at the shortest stated.
 
-    ranked: cases, the worst first.  Bisection over the worst cases; where it ends, grasps of every stiffness are looked
-    at again, and what is unstable there joins them.  It ends below the true one by at most a step, but not below the
+    ranked: cases, the worst first.  Bisection over the worst cases; where it ends, all loops without springs and grasps
+    of every stiffness are looked at again, as the worst there may be others, and what is unstable joins them.  It ends below the true one by at most a step, but not below the
     longest stated delay where all is stable there.
     """
     suspects = _suspects(ranked)
@@ -149,7 +154,7 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
 
     def stable(delay: float) -> bool:
         for k, case in enumerate(suspects):
-            if any(f.radius >= STABLE for f in rank(judge, ranges, [replace(case, delay_periods=delay)], least=STABLE)):
+            if _unstable(rank(judge, ranges, [replace(case, delay_periods=delay)], least=STABLE)):
                 suspects.insert(0, suspects.pop(k))  # it will mostly be the one that refuses next
                 return False
         return True
@@ -160,12 +165,24 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
         high = high if stable(high) else _bisect(stable, low, high)
         if high < stated < high + DELAY_STEP and stable(stated):
             high = stated
-        worst = _soft_like(judge, ranges, suspects, high)
+        worst = _stiff(judge, ranges, suspects, high) or _soft_like(judge, ranges, suspects, high)
         if worst is None:
             return high
         if high <= low:
             return None
         suspects.insert(0, worst.case)
+
+
+def _stiff(judge: Judge, ranges: Ranges, suspects: Sequence[Case], delay: float) -> Found | None:
+    """The worst of all arms alone and of the rigid cell, at the suspects' places and others; None when all are stable."""
+    places = _places(judge, {c.place for c in suspects})
+    count = len(judge.loop.gains)
+    every = alone(count, ranges, places, [delay]) + (rigid(ranges, places, [delay]) if count > 1 else [])
+    return _unstable(rank(judge, ranges, every, kept=1, least=STABLE))
+
+
+def _unstable(ranked: Sequence[Found]) -> Found | None:
+    return next((f for f in ranked if f.radius >= STABLE), None)
 
 
 def _soft_like(judge: Judge, ranges: Ranges, suspects: Sequence[Case], delay: float) -> Found | None:
@@ -175,7 +192,7 @@ def _soft_like(judge: Judge, ranges: Ranges, suspects: Sequence[Case], delay: fl
         return None
     every = soft(ranges, like.place, delay, per_decade(judge.poses[0]))
     alike = [c for c in every if (c.inertia, c.load) == (like.inertia, like.load)]
-    return next((f for f in rank(judge, ranges, alike, kept=1, least=STABLE) if f.radius >= STABLE), None)
+    return _unstable(rank(judge, ranges, alike, kept=1, least=STABLE))
 
 
 def _suspects(ranked: Sequence[Case]) -> list[Case]:

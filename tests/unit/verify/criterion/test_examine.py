@@ -67,9 +67,17 @@ def test_gentler_gains_survive_it(name: str) -> None:
     assert radii == sorted(radii, reverse=True)
 
 
-def test_at_the_longest_delay_all_is_stable_and_a_little_later_something_is_not() -> None:
-    cell = gentle("paper")
-    found, judge, ranges = examined("paper"), Judge([start_pose(cell)], loop_of(cell)), ranges_of(cell)
+@pytest.mark.parametrize(
+    ("name", "inertia_error"),
+    [("paper", 0.3), ("paper_real", 0.1), pytest.param("two_models", 0.1, marks=LONG)],
+    ids=["heavy is worst", "light at long delays only", "of unlike arms"],
+)
+def test_at_the_longest_delay_all_is_stable_and_a_little_later_something_is_not(
+    name: str, inertia_error: float
+) -> None:
+    cell = gentle(name) if name == "paper" else cell_of(name)
+    judge, ranges = Judge([start_pose(cell)], loop_of(cell)), replace(ranges_of(cell), inertia_error=inertia_error)
+    found = examine(judge.poses, judge.loop, ranges)
     assert found.delay_margin_s is not None
     margin = found.delay_margin_s * cell.file.rate_hz
 
