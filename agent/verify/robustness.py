@@ -156,6 +156,8 @@ class Robustness:
         bound, where = cell.file.safety.tau_max_fraction_of_stall, cell.arms[arm].name
         sag = f"sags by {found.sag_m * 1e3:.2g} mm" if math.isfinite(found.sag_m) else "falls"
         remedy = "switch on safety.noticing" if found.noticed_s is None else "move more slowly"
+        if any(a.entry.internal_wrench_N_Nm for a in cell.arms):
+            remedy += ", squeeze less"
         return [
             judged(
                 "this arm limp", where,

@@ -2,10 +2,11 @@
 
 A limp arm hangs on the object: its weight needs the wrench J⁻ᵀ g there.  In HOLD the motors of survivor i give
 
-    τ_i = g_i + J_iᵀ (c_i W_O − S_i x) + τ_f(−J_i⁻¹ K H x),
+    τ_i = g_i + J_iᵀ (c_i W_O + f_int,i − S_i x) + τ_f(−J_i⁻¹ K H x),
 
-with S_i = (k_v K + c_i) H the stiffness of its law (`eq:control law` at rest), W_O the object's weight and τ_f the
-friction feed-forward, and the object sags by the x at which, torque bounds and all,
+with S_i = (k_v K + c_i) H the stiffness of its law (`eq:control law` at rest), W_O the object's weight, f_int,i the
+internal wrench that is asked of it, which nobody answers once an arm is limp, and τ_f the friction feed-forward, and
+the object sags by the x at which, torque bounds and all,
 
     Σ_i (J_i⁻ᵀ (τ_i − g_i)) + f = W_O + J⁻ᵀ g,
 
@@ -34,7 +35,9 @@ import numpy as np
 from agent.config import noticing
 from agent.config.cell import Arm, Cell
 from agent.control.errors import HALF_ANGLE
+from agent.control.law import NO_WRENCH
 from agent.control.models import ArmModel, Matrix
+from agent.control.quaternion import to_matrix
 from agent.verify.loads import Loads, loads, unbearable
 from agent.verify.rubbing import Rubbing
 from agent.verify.unnoticed import ahead, until_off_track
@@ -80,8 +83,8 @@ class _Arm:
     g: Matrix  # (T, n)
     S: Matrix  # (m, m) stiffness of its law
     KH: Matrix  # (m, m)
-    load: Vector  # (m,) c_i W_O
-    held: Matrix  # (T, n) what holds arm and share, which presses on its gears
+    load: Matrix  # (T, m) c_i W_O + f_int,i
+    held: Matrix  # (T, n) what holds arm and load, which presses on its gears
     stall: Vector  # (n,)
     rub: Rubbing
     smooth_rad_per_s: float | None  # of the friction feed-forward; None: there is none
@@ -133,9 +136,10 @@ class Statics:
         self._P, self._bound = P, cell.file.safety.tau_max_fraction_of_stall
         self._weight = P @ np.concatenate([-cell.file.object.mass_kg * cell.gravity, np.zeros(3)])
         each = enumerate(zip(cell.arms, models, strict=True))
-        self._arms = [_arm(cell, arm, model, [q[i] for q in along], P, self._weight) for i, (arm, model) in each]
-        motion = cell.trajectory()
-        twists = np.array([motion.at(t).v for t in instants])
+        desired = [cell.trajectory().at(t) for t in instants]
+        R = np.reshape([to_matrix(d.quat) for d in desired], (-1, 3, 3))
+        self._arms = [_arm(cell, arm, model, [q[i] for q in along], R, self._weight) for i, (arm, model) in each]
+        twists = np.array([d.v for d in desired])
         self._speed = twists @ P.T
         self._along = _units(twists[:, :3]) @ P[:, :3].T
         brace = noticing.brace(cell)
@@ -240,8 +244,9 @@ class Statics:
         return np.where(np.isfinite(x).all(axis=-1), sizes, math.inf)
 
 
-def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matrix, weight: Vector) -> _Arm:
-    offline = cell.offline(arm)
+def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], R: Matrix, weight: Vector) -> _Arm:
+    """R: (T, 3, 3) the object's attitudes."""
+    offline, P = cell.offline(arm), model.task_basis
     gains = offline.gains
     J = np.array([P @ model.task_basis.T @ model.jacobian(q) for q in along])
     B_inv = np.linalg.inv([model.inertia(q) for q in along])
@@ -249,7 +254,8 @@ def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matr
     KH = P @ np.diag(np.array([*gains.k_p, *gains.k_eps]) * HALF_ANGLE) @ P.T
     S = P @ np.diag(gains.k_v) @ P.T @ KH + offline.load_share * P @ np.diag(HALF_ANGLE) @ P.T
     g = np.array([model.evaluate(q, np.zeros(model.n)).g for q in along])
-    load = offline.load_share * weight
+    asked = np.reshape(offline.internal_wrench or NO_WRENCH, (2, 3))
+    load = offline.load_share * weight + np.reshape(asked @ np.swapaxes(R, -1, -2), (-1, 6)) @ P.T
     return _Arm(
         Jt=Jt,
         J_inv=B_inv @ Jt @ np.linalg.inv(J @ B_inv @ Jt),
@@ -257,7 +263,7 @@ def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matr
         S=S,
         KH=KH,
         load=load,
-        held=g + _apply(Jt, np.broadcast_to(load, (len(g), len(load)))),
+        held=g + _apply(Jt, load),
         stall=arm.tau_stall_Nm,
         rub=Rubbing.of(arm.servos, cell.tolerance),
         smooth_rad_per_s=None if offline.friction is None else offline.friction.smooth_rad_per_s,

@@ -41,6 +41,12 @@ def two_of_three() -> Cell:
     return cell_from_toml(tomli_w.dumps(document).encode(), "two.toml")
 
 
+def squeezed(force_N: float) -> tuple[str, ...]:
+    """What two arms are to press by towards each other."""
+    along = {"left": force_N, "right": -force_N}
+    return tuple(f"arms.{arm}.internal_wrench_N_Nm=[{f}, 0.0, 0.0, 0.0, 0.0, 0.0]" for arm, f in along.items())
+
+
 @pytest.mark.parametrize(
     ("name", "limp", "at_s"),
     [
@@ -50,11 +56,13 @@ def two_of_three() -> Cell:
         pytest.param("level", 0, 5.0, marks=pytest.mark.long),
         pytest.param("level", 1, 5.0, marks=pytest.mark.long),
         ("two_models", 1, 0.5),
+        ("squeezed", 1, 3.0),
     ],
 )
 @pytest.mark.fault("F1")
 def test_the_plant_holds_what_statics_hold_and_drops_what_they_drop(name: str, limp: int, at_s: float) -> None:
-    cell = gentle("two_wx200", *LEVEL, HOLDS_DESIRED) if name == "level" else gentle(name, HOLDS_DESIRED)
+    of_name = {"level": ("two_wx200", *LEVEL), "squeezed": ("two_wx200", *squeezed(6.0))}
+    cell = gentle(*of_name.get(name, (name,)), HOLDS_DESIRED)
     predicted, simulated = without(cell, limp, at_s).sag_m, sag_of_limp(cell, limp, at_s)
     if math.isfinite(predicted):
         assert 0.8 * predicted < simulated < predicted + 5e-3  # it comes with a swing
@@ -186,14 +194,17 @@ def test_a_locked_arm_is_pulled_harder_than_one_that_holds_and_none_at_rest() ->
 WEIGHTLESS = (NOTICED, "world.gravity_m_per_s2=[0.0, 0.0, 0.0]", "controller.friction_feedforward=false")
 
 
-def test_the_pull_at_a_locked_arm_is_the_law_on_the_way_until_it_is_noticed() -> None:
-    cell, t = gentle("paper", *WEIGHTLESS), 3.0
+@pytest.mark.parametrize("squeeze_N", [0.0, 2.0])
+def test_the_pull_at_a_locked_arm_is_the_law_on_the_way_until_it_is_noticed(squeeze_N: float) -> None:
+    cell, t = gentle("paper", *WEIGHTLESS, *squeezed(squeeze_N)), 3.0
     desired, arm = cell.trajectory().at(t), cell.arms[1]
     model, offline, P = cell.model(arm), cell.offline(arm), cell.model(cell.arms[0]).task_basis
     T = placement(desired.p, desired.quat)
     q = reach(arm, model, T, np.array(arm.entry.q_near_rad), "")
     gains, H = offline.gains, np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
     pull = (np.array(gains.k_v) * [*gains.k_p, *gains.k_eps] + offline.load_share) * H * 0.1 * np.array(desired.v)
+    asked = np.reshape(offline.internal_wrench or np.zeros(6), (2, 3))
+    pull += (asked @ T.rotation.T).ravel()  # object axes, which turn with it
     J = P @ model.task_basis.T @ model.jacobian(q)
     expected = np.abs(J.T @ P @ pull) / arm.tau_stall_Nm
     assert without(cell, 0, t).locked.most.share == pytest.approx(expected.max(), rel=1e-3)
