@@ -80,11 +80,30 @@ def noticed(cell: Cell) -> list[Finding]:
     touched = "" if may_be is None else f" ({may_be.most_N:g} N where it may be a touch)"
     at_once, staying = f"{x.fast_N:g} N{touched}, {x.fast_Nm:g} N·m", f"{x.slow_N:g} N, {x.slow_Nm:g} N·m"
     found = f"{at_once} at once; {staying} that stay{along} ({source})"
+    findings = [Finding(what, "cell", found, ""), *_too_low(cell)]
     brace = noticing.brace(cell)
-    if brace is None:
-        return [Finding(what, "cell", found, "")]
-    pulls = Finding("an arm that holds pulls back", "cell", f"up to {brace.limit_N:g} N where it is carried on", "")
-    return [Finding(what, "cell", found, ""), pulls]
+    if brace is not None:
+        pulls = f"up to {brace.limit_N:g} N where it is carried on"
+        findings.append(Finding("an arm that holds pulls back", "cell", pulls, ""))
+    return findings
+
+
+def _too_low(cell: Cell) -> list[Finding]:
+    """Limits that the cell gives below what friction, encoders and a touch make of them without a fault."""
+    spec, of = cell.file.safety.noticing, Channels._fields
+    given = [(key, getattr(spec, key)) for key in of]
+    if all(value is None for _, value in given):
+        return []
+    least = [x / noticing.MARGIN for x in noticing.derived(cell)]
+    return [
+        warning(
+            f"safety.noticing.{key}", "cell", f"{value:g}",
+            f"≥ {usual:.3g}, which friction, encoders, a touch or [tolerance] make where nobody fails",
+            "leave it out, then it follows from the cell; or the arms hold for nothing",
+        )
+        for (key, value), usual in zip(given, least, strict=True)
+        if value is not None and value < usual
+    ]  # fmt: skip
 
 
 def learned(cell: Cell) -> list[Finding]:

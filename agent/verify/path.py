@@ -28,6 +28,8 @@ class Path:
     sigma_min_t: float
     tau_peak: Vector
     tau_rms: Vector  # (n,) N·m
+    dq_peak: Vector  # (n,) rad/s
+    power_peak: Vector  # (n,) W, |torque x speed|
     limit_margin: Vector
 
 
@@ -72,7 +74,8 @@ def along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, ins
     trajectory, offline = cell.trajectory(), cell.offline(arm)
     q, qs = q_start, []
     sigma, sigma_t = math.inf, 0.0
-    tau_peak, tau_squares, seconds = np.zeros(arm.n), [], []
+    tau_peak, dq_peak, power_peak = np.zeros((3, arm.n))
+    tau_squares, seconds = [], []
     lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
     margin = np.minimum(q_start - lower, upper - q_start)
     for t in instants:
@@ -80,18 +83,21 @@ def along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, ins
         q = reach(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
         qs.append(q)
         dq = pseudo_inverse(model.jacobian(q)) @ (model.task_basis @ np.array(desired.v))
+        dq_peak = np.maximum(dq_peak, np.abs(dq))
         try:
             terms = known.torque(model, offline, q, dq, desired)
             tau = terms.tau_cmd
             if terms.sigma_min < sigma:
                 sigma, sigma_t = terms.sigma_min, t
             tau_peak = np.maximum(tau_peak, np.abs(tau))
+            power_peak = np.maximum(power_peak, np.abs(tau * dq))
             tau_squares.append(tau * tau)
             seconds.append(t)
         except SingularJacobian:
             sigma, sigma_t = 0.0, t
         margin = np.minimum(margin, np.minimum(q - lower, upper - q))
-    return Path(qs, sigma, sigma_t, tau_peak, _rms(tau_squares, seconds, arm.n), margin)
+    tau_rms = _rms(tau_squares, seconds, arm.n)
+    return Path(qs, sigma, sigma_t, tau_peak, tau_rms, dq_peak, power_peak, margin)
 
 
 def _rms(squares: Sequence[Vector], seconds: Sequence[float], n: int) -> Vector:

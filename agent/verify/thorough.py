@@ -11,6 +11,7 @@ from agent.config.cell import Cell
 from agent.control.life import Life
 from agent.control.models import ArmModel
 from agent.verify.alignment_room import alignment_room
+from agent.verify.asked import asked
 from agent.verify.collision.findings import collisions
 from agent.verify.collision.scene import Scene
 from agent.verify.finding import Finding
@@ -28,6 +29,7 @@ def examine_thoroughly(
     scene = Scene(cell, models)
     findings = [
         *watched(cell),
+        *asked(cell, models, paths, instants),
         *collisions(cell, models, each, instants, scene),
         *ways(cell, models, scene, of_arms, each, instants),
     ]

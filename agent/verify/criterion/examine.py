@@ -145,8 +145,8 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
     """Longest delay, in periods, at which everything is stable; None: not even at the shortest stated.
 
     ranked: cases, the worst first.  Bisection over the worst cases; where it ends, all loops without springs and grasps
-    of every stiffness are looked at again, as the worst there may be others, and what is unstable joins them.  It ends below the true one by at most a step, but not below the
-    longest stated delay where all is stable there.
+    of every stiffness are looked at again, as the worst there may be others, and what is unstable joins them.  It ends
+    below the true one by at most a step, but not below the longest stated delay where all is stable there.
     """
     suspects = _suspects(ranked)
     low, high = ranges.delay_periods[0], DELAY_MAX_PERIODS
@@ -174,7 +174,7 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
 
 
 def _stiff(judge: Judge, ranges: Ranges, suspects: Sequence[Case], delay: float) -> Found | None:
-    """The worst of all arms alone and of the rigid cell, at the suspects' places and others; None when all are stable."""
+    """The worst of arms alone and of the rigid cell, at the suspects' places and others; None when all are stable."""
     places = _places(judge, {c.place for c in suspects})
     count = len(judge.loop.gains)
     every = alone(count, ranges, places, [delay]) + (rigid(ranges, places, [delay]) if count > 1 else [])

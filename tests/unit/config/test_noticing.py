@@ -17,6 +17,7 @@ from agent.config.noticing import derived, thresholds
 from agent.config.schema.arm import Figure, Provenance
 from agent.control.residual import Channels, Residual
 from agent.verify.check import examine
+from agent.verify.finding import Verdict
 from agent.verify.noticing import noticed, rested, unstated
 from tests.support.arm_files import pressed_on, with_figures
 
@@ -333,6 +334,16 @@ def test_check_says_them() -> None:
     assert "partly given" in noticed(cell("paper_real", "safety.noticing.fast_N=7.0"))[0].found
     assert "(given)" in noticed(cell("paper_real", *(f"safety.noticing.{x}" for x in TYPED)))[0].found
     assert noticed(cell("paper")) == []
+
+
+@pytest.mark.parametrize("key", Channels._fields)
+def test_a_limit_below_what_comes_without_a_fault_is_warned_of(key: str) -> None:
+    usual = getattr(derived(cell()), key) / 1.4
+    above, below = (noticed(cell("paper_real", f"safety.noticing.{key}={part * usual:g}"))[1:] for part in (1.01, 0.99))
+    assert not above
+    (low,) = below
+    assert (low.what, low.verdict, low.found) == (f"safety.noticing.{key}", Verdict.WARNING, f"{0.99 * usual:g}")
+    assert low.wanted.startswith(f"≥ {usual:.3g}, ")
 
 
 @pytest.mark.parametrize(
