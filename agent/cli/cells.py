@@ -120,6 +120,8 @@ def tune(
         print_json(tune_document(configured, proposals, chosen, margin, write))
     else:
         console().print(tune_table(configured, proposals))
+        if chosen.from_usual:
+            note("the configured gains are unstable: the search began with usual ones, and takes their torque noise")
         typer.echo(toml_lines(chosen) or "the configured gains are the largest that keep the margin")
     if write is not None:
         note(f"written  {write}")

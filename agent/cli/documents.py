@@ -48,6 +48,7 @@ def tune_document(
         "configured": _gains(configured),
         "proposals": {p.form.value: _gains(p.after) | {"changes": _changes(p)} for p in proposals},
         "chosen": chosen.form.value,
+        "began": "usual" if chosen.from_usual else "configured",
         "written": None if written is None else str(written),
     }
     ready: dict[str, Any] = json_ready(document)

@@ -17,7 +17,8 @@ from agent.verify.check import CheckReport, examine, reach
 from agent.verify.collision.findings import collisions
 from agent.verify.finding import Finding, Verdict
 from agent.verify.session import not_gripped
-from agent.verify.tune import Form, Margin, NoGains, Tuner
+from agent.verify.tune import Form, Margin, Tuner
+from agent.verify.tune_refusal import NoGains
 from drivers.dynamixel.servo.models import SERVOS
 
 IN_PLANE: Final = ("shoulder", "elbow", "wrist_angle")

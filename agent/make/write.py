@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from agent.config.schema.simulation import Simulation
 from agent.make.wish import ArmWish, MotionKind, MotionWish, ShapeKind, Vec3, Wish
+from agent.verify.usual_gains import PLANAR, SPATIAL, UsualGains
 from drivers.interface import Vector
 from drivers.substeps import fewest_substeps
 
@@ -18,23 +19,6 @@ WAIT_S: Final = 1.0
 SETTLE_S: Final = 2.0
 READY_S: Final = 4.0
 RAMP_S: Final = 3.0
-
-
-@dataclass(frozen=True, slots=True)
-class Gains:
-    """Where the search for gains begins: those of the cells that ship."""
-
-    k_p: float
-    k_eps: float
-    k_p_rate: float
-    k_eps_rate: float
-    k_v: float
-    k_v_turn: float
-    velocity_gain: float
-
-
-PLANAR: Final = Gains(70.0, 140.0, 62.0, 190.0, 3.6, 0.47, 0.22)
-SPATIAL: Final = Gains(60.0, 130.0, 50.0, 150.0, 4.2, 0.23, 0.24)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,14 +91,14 @@ def _motion(motion: MotionWish, height_m: float) -> Iterator[str]:
         yield f"move_s = {motion.time_s!r}\nwait_s = {WAIT_S!r}\nand_back = true"
 
 
-def _control(wish: Wish, gains: Gains) -> Iterator[str]:
+def _control(wish: Wish, gains: UsualGains) -> Iterator[str]:
     yield '\n[controller]\nkind = "known"'
     yield "# stiffer is more exact and unstable sooner; `coop tune` searches, `coop check` judges"
     yield f"k_p_per_s = {gains.k_p!r}\nk_eps_rad_per_s = {gains.k_eps!r}"
     yield f"k_p_rate_per_s = {gains.k_p_rate!r}\nk_eps_rate_rad_per_s = {gains.k_eps_rate!r}"
     yield 'friction_feedforward = true\nvelocity = "observer"'
-    yield f"\n[controller.observer]\nposition_gain = 0.2\nvelocity_gain = {gains.velocity_gain!r}"
-    yield "velocity_from_position_per_s = 1.0"
+    yield f"\n[controller.observer]\nposition_gain = {gains.position_gain!r}\nvelocity_gain = {gains.velocity_gain!r}"
+    yield f"velocity_from_position_per_s = {gains.velocity_from_position_per_s!r}"
     yield f"\n[simulation]\nready_s = {READY_S!r}  # the arms wait so long before the start"
     fewest = fewest_substeps(wish.rate_hz)
     if fewest > Simulation.default().substeps_per_cycle:
@@ -125,7 +109,7 @@ def _control(wish: Wish, gains: Gains) -> Iterator[str]:
     yield f"\n[report]\ntransient_s = {transient!r}\nmax_position_error_m = 1e-3\nmax_attitude_error_rad = 3e-3"
 
 
-def _arm(arm: Placed, gains: Gains, mark: int) -> Iterator[str]:
+def _arm(arm: Placed, gains: UsualGains, mark: int) -> Iterator[str]:
     wish, (x, y, z, yaw) = arm.wish, arm.base
     down = "" if wish.pose is not None else f", face {wish.face}"
     yield f'\n[[arms]]\nname = "{wish.name}"\nmodel = "{wish.model}"'

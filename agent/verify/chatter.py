@@ -53,6 +53,8 @@ class Shaking:
         """Largest rms torque of a joint; infinite where the observer runs away."""
         by_angle, by_velocity = self.feedback(gains)
         (aa, av), (_, vv) = READINGS if observer is None else estimates(observer)
+        if math.isinf(aa):
+            return math.inf
         square = aa * by_angle**2 + 2.0 * av * by_angle * by_velocity + vv * by_velocity**2
         return math.sqrt(float(square.sum(axis=1).max()))
 

@@ -9,14 +9,14 @@ from agent.config import observer
 from agent.config.cell import Arm, Cell
 from agent.config.edit import Change
 from agent.control.errors import Gains
-from agent.verify.scale import Scale
+from agent.control.estimator import Observer
 
 OBSERVER_KEYS: Final = ("position_gain", "velocity_gain", "velocity_from_position_per_s")
 
 
-def changed(cell: Cell, scale: Scale) -> Iterator[Change]:
-    """Every gain of the cell file that another scale makes another."""
-    c, gains = cell.file.controller, scale.of(cell.offline(cell.arms[0]).gains)
+def changed(cell: Cell, each: Sequence[Gains], seen: Observer | None) -> Iterator[Change]:
+    """Every gain of the cell file that is another in these; each: of every arm, which differ in k_v alone."""
+    c, gains = cell.file.controller, each[0]
     written = {
         "k_p_per_s": (c.k_p_per_s, gains.k_p),
         "k_eps_rad_per_s": (c.k_eps_rad_per_s, gains.k_eps),
@@ -26,13 +26,13 @@ def changed(cell: Cell, scale: Scale) -> Iterator[Change]:
     for key, (was, now) in written.items():
         if was != now:
             yield Change("controller", key, _toml(now))
-    was_seen, seen = observer.build(cell.file), scale.of_observer(observer.build(cell.file))
+    was_seen = observer.build(cell.file)
     if was_seen is not None and seen is not None:
         for key in OBSERVER_KEYS:
             if getattr(was_seen, key) != getattr(seen, key):
                 yield Change("controller.observer", key, repr(getattr(seen, key)))
-    for arm in cell.arms:
-        yield from _k_v_changes(arm, scale.of(cell.offline(arm).gains))
+    for arm, own in zip(cell.arms, each, strict=True):
+        yield from _k_v_changes(arm, own)
 
 
 def _k_v_changes(arm: Arm, gains: Gains) -> Iterator[Change]:

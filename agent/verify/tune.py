@@ -1,6 +1,7 @@
 """Gains for a cell: the stiffest that survive what reality may make of it, or those that keep the rigid cell damped.
 
-REALITY searches by the criterion of `coop check` (agent.verify.stiffest).  The other two look at the rigid cell alone,
+REALITY searches by the criterion of `coop check` (agent.verify.stiffest), from the configured gains on, or from usual
+ones where those are unstable and say nothing of how much noise is wanted.  The other two look at the rigid cell alone,
 also with the arms' inertia off, in two ways, because the paper has one K where a sampled loop would rather have two:
 
 - RATIO scales k_p and k_eps together with their forms in v̇_r;
@@ -23,20 +24,22 @@ from typing import Final
 import numpy as np
 
 from agent.config import observer
-from agent.config.cell import Cell, ConfigError, cell_from_toml, placement
+from agent.config.cell import Cell, cell_from_toml, placement
 from agent.config.edit import Change, apply
 from agent.control.errors import Gains
 from agent.control.estimator import Observer
 from agent.control.models import ArmModel
 from agent.verify.chatter import Shaking
 from agent.verify.check import reach, start_configurations
-from agent.verify.criterion.cases import Loop, Ranges
-from agent.verify.criterion.examine import Criterion, examine
+from agent.verify.criterion.cases import Loop
+from agent.verify.criterion.examine import STABLE, Criterion, examine
 from agent.verify.margin import Damping, Place, damping, damping_at, places, sampled_loop
 from agent.verify.proposed import changed
 from agent.verify.robustness import Walk, loop_of, poses, ranges_of
 from agent.verify.scale import Scale
-from agent.verify.stiffest import Binding, Search, Wanted, binding, scaled
+from agent.verify.stiffest import Search, Wanted, binding, scaled
+from agent.verify.tune_refusal import NoGains, less, looked_at, too_late
+from agent.verify.usual_gains import PLANAR, SPATIAL
 from drivers.interface import Vector
 
 PLACES: Final = 12  # along the trajectory
@@ -45,10 +48,6 @@ POSE_FLOORS: Final = (0.5, 0.1)  # nor below the first, unless no k_v keeps the 
 RATE_RANGE: Final = (0.05, 1.0)
 STEP: Final = 0.93  # between gains that are tried; the last one is refined
 K_V_FACTORS: Final = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
-
-
-class NoGains(ConfigError):
-    """No gains keep the wanted margin."""
 
 
 class Form(enum.StrEnum):
@@ -108,6 +107,7 @@ class Proposal:
     before: GainSet
     after: GainSet
     changes: tuple[Change, ...]
+    from_usual: bool = False  # whether the search began with usual gains
 
     def toml(self) -> str:
         """The whole cell file with these gains."""
@@ -127,12 +127,6 @@ class Tuner:
         self._offline = [cell.offline(arm) for arm in cell.arms]
         self._gains = [o.gains for o in self._offline]
         self._shaking = [[self._shaken(i, q[i]) for q in self._along] for i in range(len(cell.arms))]
-        own = loop_of(cell)
-        self._loudest = [
-            max(where, key=lambda s, g=g: s.torque_Nm(g, own.observer))  # type: ignore[misc]
-            for g, where in zip(own.gains, self._shaking, strict=True)
-        ]
-        self._quiet = [s.torque_Nm(g, own.observer) for g, s in zip(own.gains, self._loudest, strict=True)]
         self._poses = poses(Walk(cell, self._models, self._along, ()))
         self._configured: GainSet | None = None
 
@@ -145,11 +139,14 @@ class Tuner:
     def propose(self, form: Form, margin: Margin) -> Proposal:
         """The largest gains of this form that keep the margin.  Raises NoGains."""
         if form is Form.REALITY:
-            return self._proposal(form, self._stiffest(margin))
+            stable = self.configured().criterion.radius < STABLE
+            own = loop_of(self.cell)
+            begin = own if stable else _usual(self.cell, own)
+            return self._proposal(form, self._stiffest(margin, begin), from_usual=not stable)
         for floor, (linear, angular) in itertools.product(POSE_FLOORS, _k_v_factors()):
             found = self._largest(form, margin, floor, Scale(k_v_linear=linear, k_v_angular=angular))
             if found is not None:
-                return self._proposal(form, found)
+                return self._proposal(form, scaled(loop_of(self.cell), found))
         raise NoGains(
             f"gains for {self.cell.file.name} at {self.cell.file.rate_hz:g} Hz",
             found="none, however small",
@@ -170,20 +167,23 @@ class Tuner:
             raise refusal
         return found
 
-    def _proposal(self, form: Form, scale: Scale) -> Proposal:
-        changes = tuple(changed(self.cell, scale))
+    def _proposal(self, form: Form, loop: Loop, *, from_usual: bool = False) -> Proposal:
+        changes = tuple(changed(self.cell, loop.gains, loop.observer))
         text = apply(self.cell.toml.decode(), changes)
         proposed = cell_from_toml(text.encode(), f"the gains proposed for {self.cell.file.name}")
-        return Proposal(form, self.configured(), self._examined(proposed), changes)
+        return Proposal(form, self.configured(), self._examined(proposed), changes, from_usual)
 
-    def _stiffest(self, margin: Margin) -> Scale:
-        """By the criterion of `coop check`.  Raises NoGains, naming what binds."""
-        cell, loop, ranges = self.cell, loop_of(self.cell), ranges_of(self.cell)
+    def _stiffest(self, margin: Margin, loop: Loop) -> Loop:
+        """By the criterion of `coop check`, no noisier than this loop.  Raises NoGains, naming what binds."""
+        cell, stated = self.cell, ranges_of(self.cell)
+        ranges = looked_at(stated)
         L = cell.file.safety.noticing.rate_per_s
-        wanted = Wanted(margin.worst, self._noise, math.exp(-L * loop.period_s))
+        wanted = Wanted(margin.worst, self._noise_against(loop), math.exp(-L * loop.period_s))
         found = Search(self._poses, loop, ranges, wanted).run()
+        if found.kept and ranges != stated:
+            raise too_late(cell, stated, ranges)
         if found.kept:
-            return found.scale
+            return scaled(loop, found.scale)
         inertia = "tolerance.masses" if cell.tolerance.masses >= ranges.inertia_error else "safety.inertia_error"
         binds, least = binding(self._poses, scaled(loop, found.scale), ranges, wanted, inertia)
         raise NoGains(
@@ -191,41 +191,25 @@ class Tuner:
             found=f"none; the nearest have a radius of {found.worst.radius:.4f} ({found.worst.case.demand.value}) "
             f"and {found.noise:.2f} times the torque noise",
             expected=f"at most {margin.worst:g} whatever of the stated tolerance is true, and no more noise",
-            remedy=self._less(binds, least),
+            remedy=less(cell, binds, least),
         )
-
-    def _less(self, binds: Sequence[Binding], least: float) -> str:
-        """Which tolerances bind, and with how much of each by itself gains are found."""
-        if binds[0].enough is None:
-            keys = " or ".join(bind.key for bind in binds)
-            return f"{keys} binds (it would be {least:.4f} without): state less of it if that is true, or raise rate_hz"
-        told = " or ".join(f"{b.key} = {self._stated(b.key, b.enough)}" for b in binds if b.enough is not None)
-        return f"state less of what binds, if that is true: {told} is enough; or raise rate_hz"
-
-    def _stated(self, key: str, ranges: Ranges) -> str:
-        """What the cell file would say of it."""
-        believed = self.cell.file.delay_periods
-        name = key.partition(".")[2]
-        said = {
-            "delay": (ranges.delay_periods[0] / believed, ranges.delay_periods[2] / believed)
-            if believed
-            else (1.0, 1.0),
-            "object": ranges.object_error,
-            "friction": (ranges.friction, self.cell.tolerance.friction[1]),
-            "pads_N_per_m": ranges.pads_N_per_m,
-            "pads_Nm_per_rad": ranges.pads_Nm_per_rad,
-            "pads_damping_ratio": ranges.pads_damping_ratio,
-        }.get(name, ranges.inertia_error)
-        return f"[{', '.join(f'{x:.3g}' for x in said)}]" if isinstance(said, tuple) else f"{said:.3g}"
 
     def _shaken(self, arm: int, q: Vector) -> Shaking:
         viscous = np.array([servo.viscous_Nm_s_per_rad.value for servo in self.cell.arms[arm].servos])
         return Shaking(self._models[arm], self._offline[arm], viscous, q)
 
-    def _noise(self, loop: Loop) -> float:
-        """Torque noise relative to that of the configured gains, of each arm where it is largest with those."""
-        each = zip(loop.gains, self._loudest, self._quiet, strict=True)
-        return max(s.torque_Nm(gains, loop.observer) / quiet for gains, s, quiet in each)
+    def _noise_against(self, own: Loop) -> Callable[[Loop], float]:
+        """Torque noise of a loop relative to that of another, of each arm where it is largest with the other."""
+        loudest = [
+            max(((s.torque_Nm(g, own.observer), s) for s in where), key=lambda each: each[0])
+            for g, where in zip(own.gains, self._shaking, strict=True)
+        ]
+
+        def noise(loop: Loop) -> float:
+            each = zip(loop.gains, loudest, strict=True)
+            return max(s.torque_Nm(gains, loop.observer) / quiet for gains, (quiet, s) in each)
+
+        return noise
 
     def _torque_noise(self, loop: Loop) -> tuple[float, ...]:
         """Of each arm the largest along the trajectory, N·m."""
@@ -260,6 +244,12 @@ class Tuner:
         found = examine(self._poses, loop, ranges_of(cell))
         rigid = damping(self._places, P, sampled_loop(cell))
         return GainSet(cell, rigid, self._torque_noise(loop), found)
+
+
+def _usual(cell: Cell, own: Loop) -> Loop:
+    """The loop with gains of the cells that ship."""
+    usual = PLANAR if cell.planar else SPATIAL
+    return replace(own, gains=tuple(usual.law for _ in own.gains), observer=usual.of_observer(own.observer))
 
 
 def _walk(cell: Cell, models: Sequence[ArmModel]) -> list[list[Vector]]:

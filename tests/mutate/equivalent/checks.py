@@ -42,6 +42,7 @@ _NO_SIGN = "an error may have either sign, and the sizes of columns are given"
 _A_TOUCH_SETS_IT = "a touch sets it as it begins, and nothing asks for it before"
 _NOTHING_MORE = "where rounding alone is as large as one nothing is proved any more"
 _ALONG = "return _sized(rng, most, v if normal is None else normal * float(normal @ v), R)"
+_BOX = "found += [*_box(cell, each[0], instants), *_seen(cell, models, paths)]"
 _JITTER = "return real.model_copy(update={'delay_jitter_s': min(jitter_s, real.delay_s or 0.0)})"
 _SENSE = "size, along = (np.abs(tau_rest), np.where(tau_rest >= 0.0, sign, -sign))"
 _BOUND = "return np.where(size + along * bound >= 0.0, bound, turned)"
@@ -148,5 +149,8 @@ CHECKS: Entries = {
         ("Touch.__init__", "self._lasted_s = 0.0", "pass"): _A_TOUCH_SETS_IT,
         ("Touch.__init__", "self._lasted_s = 0.0", "self._lasted_s = 1.0"): _A_TOUCH_SETS_IT,
         ("Touch.__init__", "self._quiet_s = 0.0", "self._quiet_s = 1.0"): _A_TOUCH_SETS_IT,
+    },
+    "agent.verify.asked": {
+        ("asked", _BOX, _BOX.replace("each[0]", "each[1]")): "the box is the same for all arms",
     },
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from agent.config.cell import Cell, load_cell
 from agent.config.monitors import bounds_of_all
-from agent.verify.asked import HALF_STEP_RAD, asked
+from agent.verify.asked import asked
 from agent.verify.check import examine
 from agent.verify.finding import Finding, Verdict
 from agent.verify.path import along_trajectory, start_configurations
@@ -84,14 +85,49 @@ def test_a_run_that_ends_before_windings_are_warm_is_not_told_of() -> None:
     assert told("safety.monitors.load_share=0.1", "duration_s=60.0")
 
 
-def test_figures_are_those_of_motion_and_bound() -> None:
-    cell = load_cell(CELL, ["safety.monitors.power_share=0.001", "safety.tracking_error_max_m=1e-4"])
-    power, *_, seen = found_of(cell)
-    assert power.wanted == f"≤ {bounds_of_all(cell)[0].power_W[0]:.3g}"
-    assert 0.05 < float(power.found.removesuffix(" W")) < 0.2
-    model, q = cell.model(cell.arms[0]), start_configurations(cell, [cell.model(a) for a in cell.arms])[0]
-    lever_m = np.linalg.norm((model.task_basis.T @ model.jacobian(q))[:3])
-    assert float(seen.found.removesuffix(" m")) == pytest.approx(HALF_STEP_RAD * lever_m, rel=0.1)
+def worst_of(**figures: list[float]) -> list[Finding]:
+    """Of the left arm, whose path has these figures instead of its own."""
+    cell = load_cell(CELL)
+    models = [cell.model(a) for a in cell.arms]
+    left, right = (
+        along_trajectory(cell, *of, [0.0])
+        for of in zip(cell.arms, models, start_configurations(cell, models), strict=True)
+    )
+    path = replace(left, **{key: np.array(figure) for key, figure in figures.items()})  # type: ignore[arg-type]
+    return asked(cell, models, [path, right], [0.0])
+
+
+def test_the_joint_that_is_farthest_beyond_its_bound_is_named_whatever_the_bounds_are() -> None:
+    bounds = bounds_of_all(load_cell(CELL))[0]
+    shoulder, elbow, _ = bounds.power_W
+    (found,) = worst_of(power_peak=[shoulder + 0.1, elbow + 0.2, 0.0])
+    assert (found.what, found.where) == ("motion against monitors: power of elbow", "left")
+    assert (found.found, found.wanted) == (f"{elbow + 0.2:.3g} W", f"≤ {elbow:.3g}")
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_both_ends_of_a_range_count(end: int) -> None:
+    ranges = bounds_of_all(load_cell(CELL))[0].position_rad
+    sign = (-1.0, 1.0)[end]
+    (found,) = worst_of(q=[[0.0, 0.0, 0.0], [0.0, ranges[1][end] + sign * 0.125, 0.0]])
+    assert (found.what, found.found) == ("motion against monitors: position of elbow", "0.125 rad beyond its range")
+    assert not worst_of(q=[[0.0, 0.0, 0.0], [0.0, ranges[1][end] - sign * 0.125, 0.0]])
+
+
+def test_half_a_step_of_every_encoder_moves_the_object_by_so_much() -> None:
+    cell = load_cell(Path("three_wx250s"), ["safety.tracking_error_max_m=1e-6", "safety.tracking_error_max_rad=1e-6"])
+    models = [cell.model(a) for a in cell.arms]
+    starts = start_configurations(cell, models)
+    paths = [along_trajectory(cell, *of, [0.0]) for of in zip(cell.arms, models, starts, strict=True)]
+    place, attitude = (f for f in asked(cell, models, paths, [0.0]) if "half a step" in f.what)
+    half = np.pi / 4096.0
+    each = [
+        (half * np.linalg.norm(J[:3]), half * np.linalg.norm(J[3:]))
+        for J in (m.jacobian(q) for m, q in zip(models, starts, strict=True))
+    ]
+    assert (place.found, attitude.found) == tuple(
+        f"{size:.3g} {unit}" for size, unit in zip(np.max(each, axis=0), ("m", "rad"), strict=True)
+    )
 
 
 def test_arms_that_servos_move_are_refused() -> None:

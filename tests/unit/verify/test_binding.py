@@ -12,7 +12,8 @@ from agent.verify import stiffest
 from agent.verify.criterion.cases import Ranges
 from agent.verify.robustness import ranges_of
 from agent.verify.stiffest import Binding, Wanted
-from agent.verify.tune import Form, Margin, NoGains, Tuner
+from agent.verify.tune import Form, Margin, Tuner
+from agent.verify.tune_refusal import NoGains, less
 
 STATED = Ranges((0.8, 1.0, 1.5), 0.4, 0.2, 0.6, (1e3, 1e5), (10.0, 1e3), 0.2)
 INERTIA = "safety.inertia_error"
@@ -75,7 +76,7 @@ def test_of_what_binds_that_comes_first_of_which_most_can_stay_and_three_are_tol
 
 def test_what_may_stay_is_told_as_a_cell_file_says_it() -> None:
     cell = load_cell(configs.CELLS_DIR / "paper_real.toml", ["tolerance.friction=[0.5, 1.7]", "loop_delay_s=0.004"])
-    tuner, stated, believed = Tuner(cell), ranges_of(cell), cell.file.delay_periods
+    stated, believed = ranges_of(cell), cell.file.delay_periods
     assert believed == pytest.approx(0.8)
     enough = {
         "tolerance.delay": replace(stated, delay_periods=(0.9 * believed, believed, 1.1 * believed)),
@@ -86,12 +87,12 @@ def test_what_may_stay_is_told_as_a_cell_file_says_it() -> None:
         "tolerance.pads_damping_ratio": replace(stated, pads_damping_ratio=0.31),
         "tolerance.pads_Nm_per_rad": replace(stated, pads_Nm_per_rad=(9.0, 1e3)),
     }
-    assert tuner._less([Binding(key, ranges) for key, ranges in enough.items()], 0.98) == (
+    assert less(cell, [Binding(key, ranges) for key, ranges in enough.items()], 0.98) == (
         "state less of what binds, if that is true: tolerance.delay = [0.9, 1.1] or tolerance.friction = [0.8, 1.7] "
         "or tolerance.pads_N_per_m = [3e+03, 1e+06] or safety.inertia_error = 0.21 or tolerance.object = 0.11 "
         "or tolerance.pads_damping_ratio = 0.31 or tolerance.pads_Nm_per_rad = [9, 1e+03] is enough; or raise rate_hz"
     )
-    assert tuner._less([Binding("tolerance.object", None), Binding(INERTIA, None)], 0.99512) == (
+    assert less(cell, [Binding("tolerance.object", None), Binding(INERTIA, None)], 0.99512) == (
         "tolerance.object or safety.inertia_error binds (it would be 0.9951 without): "
         "state less of it if that is true, or raise rate_hz"
     )

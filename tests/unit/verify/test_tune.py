@@ -28,8 +28,10 @@ from agent.verify.proposed import OBSERVER_KEYS
 from agent.verify.robustness import loop_of, ranges_of
 from agent.verify.scale import Scale
 from agent.verify.stiffest import Search, Wanted
-from agent.verify.tune import RIGID, Form, Margin, NoGains, Proposal, Tuner
+from agent.verify.tune import RIGID, Form, Margin, Proposal, Tuner
+from agent.verify.tune_refusal import NoGains
 from agent.verify.tune_table import toml_lines, tune_table
+from agent.verify.usual_gains import PLANAR
 from drivers.dynamixel.servo.counts import VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 from tests.support.arm_files import with_true_arms
@@ -345,6 +347,62 @@ def test_the_observer_is_searched_too_and_forgets_as_fast_as_the_residual_of_not
     assert [row for row in rows if str(row).startswith("observer")] == [f"observer, {key}" for key in OBSERVER_KEYS]
 
 
+WX200, AT_REST = Path("two_wx200"), "trajectory.p_amplitude_m=[0.0, 0.0, 0.0]"
+UNSTABLE = {
+    "k_p": ("controller.k_p_per_s=1000.0",),
+    "no limit": ("controller.k_p_per_s=1e5",),
+    "turns": ("arms.left.k_v_Nm_s_per_rad=6.0", "arms.right.k_v_Nm_s_per_rad=6.0"),
+    "observer": ("controller.observer.velocity_from_position_per_s=5000.0",),
+}
+
+
+@pytest.fixture(scope="module")
+def shortly() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stiffest, "TRIES", 150)
+        yield
+
+
+@cache
+def usual_proposal() -> Proposal:
+    """For a cell with the usual gains, at rest."""
+    u, arms = PLANAR, ("left", "right")
+    law = {"k_p_per_s": u.k_p, "k_eps_rad_per_s": u.k_eps, "k_p_rate_per_s": u.k_p_rate}
+    law |= {"k_eps_rate_rad_per_s": u.k_eps_rate} | {f"observer.{key}": getattr(u, key) for key in OBSERVER_KEYS}
+    k_v = {"k_v_N_s_per_m": u.k_v, "k_v_Nm_s_per_rad": u.k_v_turn}
+    changes = [f"controller.{key}={value}" for key, value in law.items()]
+    changes += [f"arms.{arm}.{key}={value}" for arm in arms for key, value in k_v.items()]
+    return Tuner(load_cell(WX200, [*changes, AT_REST])).propose(Form.REALITY, FEW)
+
+
+@pytest.mark.parametrize("changes", UNSTABLE.values(), ids=list(UNSTABLE))
+def test_unstable_gains_say_nothing_of_the_noise_that_is_wanted_nor_of_what_is_found(
+    changes: tuple[str, ...], shortly: None
+) -> None:
+    usual, found = usual_proposal(), Tuner(load_cell(WX200, [*changes, AT_REST])).propose(Form.REALITY, FEW)
+    assert found.from_usual
+    assert found.before.criterion.radius >= 1.0
+    proposed = cell_from_toml(found.toml().encode(), "again")
+    assert all(proposed.offline(arm).gains == usual.after.gains for arm in proposed.arms)
+    assert observer.build(proposed.file) == usual.after.observer
+    assert max(found.after.noise_Nm) <= 1.001 * max(usual.before.noise_Nm)
+
+
+def test_the_search_begins_with_the_configured_gains_where_they_are_stable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stiffest, "TRIES", 20)
+    found = Tuner(load_cell(WX200, [AT_REST])).propose(Form.REALITY, Margin(worst=0.998))
+    assert found.before.criterion.radius < 1.0
+    assert not found.from_usual
+    assert max(found.after.noise_Nm) <= 1.001 * max(found.before.noise_Nm)
+
+
+def test_a_delay_of_more_cycles_than_are_looked_at_is_told_with_how_much_is_enough(shortly: None) -> None:
+    with pytest.raises(NoGains) as caught:
+        Tuner(load_cell(WX200, [AT_REST, "tolerance.delay=[0.8, 10.0]"])).propose(Form.REALITY, FEW)
+    assert "found a delay of up to 10 cycles, for which none are looked for, expected at most 3" in str(caught.value)
+    assert "tolerance.delay = [0.8, 3] is enough" in str(caught.value)
+
+
 def test_without_an_observer_nothing_of_it_is_proposed() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stiffest, "TRIES", 10)
@@ -401,7 +459,6 @@ def test_noise_and_a_slow_observer_are_missed_like_a_radius() -> None:
 @pytest.mark.parametrize(
     ("stated", "key"),
     [
-        pytest.param("tolerance.delay=[0.8, 10.0]", "tolerance.delay", marks=pytest.mark.long),
         ("safety.inertia_error=0.97", "safety.inertia_error"),
         pytest.param("tolerance.masses=0.9", "tolerance.masses", marks=pytest.mark.long),
     ],
