@@ -13,9 +13,10 @@ from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.fault import Fault
 from agent.config.schema.reality import Reality
+from agent.control.internal_force import internal_wrenches as asked_of_all
 from agent.control.quaternion import angle_between
 from agent.report.loss import LOST_M, LOST_RAD, is_lost
-from agent.report.series import internal_wrenches, largest_force, largest_or_zero
+from agent.report.series import internal_wrenches, largest_force, largest_or_zero, rotate
 from agent.study.lab import Laboratory, Run
 from agent.verify.disagreement import mean_bound_N
 from drivers.interface import DriverError, Vector
@@ -109,6 +110,10 @@ class _Seen:
     def __init__(self, lab: Laboratory) -> None:
         self._lab, self._anchor = lab, lab.cell.anchor
         self._trajectory = lab.cell.trajectory()
+        wanted = asked_of_all(*lab.cell.internal_wrenches_desired())
+        self._asked_N = [np.array(wrench[:3]) for wrench in wanted]  # object axes
+        P = lab.cell.model(lab.cell.arms[0]).task_basis[:, :3]
+        self._in_task = P.T @ P  # arms of a plane give nothing out of it
         self._errors: list[tuple[float, float, float, float, float]] = []  # t, errors, errors of what the anchor sees
         self._quat: list[Vector] = []
         self._wrench: list[Vector] = []
@@ -179,11 +184,13 @@ class _Seen:
         )
 
     def _internal_force_N(self) -> Vector:
-        """(k,) largest part of an arm's force that moves nothing, at each observation."""
+        """(k,) largest part of an arm's force that moves nothing and is not asked of it, at each observation."""
         if not self._wrench:
             return np.zeros(0)
-        internal = internal_wrenches(np.array(self._wrench), np.array(self._quat), None)
-        return largest_force(np.linalg.norm(internal[:, :, :3], axis=2))
+        quat = np.array(self._quat)
+        found = internal_wrenches(np.array(self._wrench), quat, None)[:, :, :3]
+        asked = np.stack([rotate(quat, force) for force in self._asked_N], axis=1)
+        return largest_force(np.linalg.norm(found - asked @ self._in_task, axis=2))
 
 
 def gave_up(tripped_s: float | None, first_fault_s: float | None) -> bool:

@@ -140,10 +140,10 @@ def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path, monke
     proposals["rate"]["delay_margin_s"] = proposals["ratio"]["delay_margin_s"] = None  # a number where there is one
     assert shape(found) == HEAD | {
         "rate_hz": "float", "margin": margin, "configured": GAINS,
-        "proposals": {"ratio": GAINS, "rate": GAINS}, "chosen": "str", "written": "str",
+        "proposals": {"ratio": GAINS, "rate": GAINS}, "chosen": "str", "began": "str", "written": "str",
     }  # fmt: skip
     assert found["margin"] == {"radius": 0.99, "damping": 0.05, "worst": 0.985}
-    assert (found["chosen"], found["written"]) == ("rate", str(written))
+    assert (found["chosen"], found["began"], found["written"]) == ("rate", "configured", str(written))
     assert found["configured"]["k_p_per_s"] == [150.0] * 3
     assert [place["inertia_error"] for place in found["configured"]["loop"]] == [0.0, -0.3, 0.3]
     assert proposals["rate"]["loop"][1]["damping_ratio"] >= 0.05 > found["configured"]["loop"][1]["damping_ratio"]

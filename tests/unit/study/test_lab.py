@@ -94,6 +94,27 @@ def test_errors_of_calibration_show_as_internal_force(lab: Laboratory) -> None:
     assert bad.internal_force_max_N >= bad.internal_force_mean_N
 
 
+def test_a_squeeze_that_is_asked_for_is_no_internal_force_and_one_that_nobody_gives_is() -> None:
+    """In object axes, which turn; out of the plane no planar arm gives any."""
+
+    def squeezed(left_N: str, right_N: str) -> tuple[str, str]:
+        return (
+            f"arms.left.internal_wrench_N_Nm=[{left_N}, 0.0, 0.0, 0.0]",
+            f"arms.right.internal_wrench_N_Nm=[{right_N}, 0.0, 0.0, 0.0]",
+        )
+
+    turning = ("trajectory.angle_rad=0.5", *IDEAL)
+    none, asked, beside = (
+        measure(Laboratory(cell(*turning, *changes)), None)
+        for changes in ((), squeezed("3.0, 0.0, 1.0", "-3.0, 0.0, -1.0"), squeezed("3.0, 4.0, 1.0", "-3.0, -4.0, -1.0"))
+    )
+    assert asked.internal_force_mean_N == pytest.approx(none.internal_force_mean_N, abs=0.02)
+    assert beside.internal_force_max_N == pytest.approx(asked.internal_force_max_N, abs=0.02)
+    lab = Laboratory(cell(*IDEAL, *squeezed("3.0, 0.0, 0.0", "-3.0, 0.0, 0.0")))
+    limp = measure(lab, None, faults=[Fault(kind=FaultKind.LIMP, arm="right", at_s=0.2)])
+    assert limp.internal_force_max_N > 2.0
+
+
 def test_what_the_anchor_sees_wrongly_is_not_held_against_the_cell() -> None:
     """Two arms that are off to the same side agree: the object is off by it, and by nothing beyond the anchor."""
     lab = Laboratory(cell(*IDEAL))
