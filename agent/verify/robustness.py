@@ -20,6 +20,7 @@ from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
 from agent.verify.criterion.examine import Criterion, Found, examine
 from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, mean_bound_N, start_off
 from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.force import spare_N
 from agent.verify.loads import Load, Loads
 from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
 from drivers.interface import Vector
@@ -138,16 +139,16 @@ class Robustness:
         return [*findings, self._margin(otherwise), *failed, *self._internal(), *self.reach, *_unseen(cell)]
 
     def _internal(self) -> list[Finding]:
-        usual_N = mean_bound_N(self.walk.cell) / MEAN_SHARE
+        cell = self.walk.cell
+        each = zip(cell.arms, self.disagreement, spare_N(cell, mean_bound_N(cell) / MEAN_SHARE), strict=False)
         return [
             judged(
                 "internal wrench at the stated tolerance", arm.name,
-                f"{d.force_N:.2g} N, {d.moment_Nm:.2g} N·m (quadratic sum)",
-                f"≤ {(most := min(usual_N, arm.entry.grip_force_max_N or math.inf)):g} N",
-                holds=d.force_N <= most, otherwise=Verdict.WARNING,
+                f"{d.force_N:.2g} N, {d.moment_Nm:.2g} N·m (quadratic sum)", f"≤ {most_N:.3g} N",
+                holds=d.force_N <= most_N, otherwise=Verdict.WARNING,
                 remedy="calibrate better and say so in [tolerance], let arms align themselves, or take softer gains",
             )
-            for arm, d in zip(self.walk.cell.arms, self.disagreement, strict=False)
+            for arm, d, most_N in each
         ]  # fmt: skip
 
     def _failures(self, arm: int, found: Support) -> list[Finding]:
@@ -156,8 +157,7 @@ class Robustness:
         bound, where = cell.file.safety.tau_max_fraction_of_stall, cell.arms[arm].name
         sag = f"sags by {found.sag_m * 1e3:.2g} mm" if math.isfinite(found.sag_m) else "falls"
         remedy = "switch on safety.noticing" if found.noticed_s is None else "move more slowly"
-        if any(a.entry.internal_wrench_N_Nm for a in cell.arms):
-            remedy += ", squeeze less"
+        remedy += ", squeeze less" * any(a.entry.internal_wrench_N_Nm for a in cell.arms)
         return [
             judged(
                 "this arm limp", where,
@@ -208,12 +208,11 @@ class Robustness:
         return ", ".join(parts)
 
     def _margin(self, otherwise: Verdict) -> Finding:
-        cell, found = self.walk.cell, self.criterion
-        margin_s = found.delay_margin_s
+        cell, margin_s = self.walk.cell, self.criterion.delay_margin_s
         period_s = 1.0 / cell.file.rate_hz
         wanted_s = _delay_periods(cell)[1] * period_s  # to the bit as margin_s
         text = "none" if margin_s is None else f"{margin_s * 1e3:.3g} ms"
-        if margin_s is not None and margin_s >= found.delay_looked_at_s:
+        if margin_s is not None and margin_s >= self.criterion.delay_looked_at_s:
             text += " or more"
         return judged(
             "longest delay with all of this stable", "cell", text, f"≥ {wanted_s * 1e3:.3g} ms",

@@ -99,7 +99,7 @@ class Arm(Strict):
     internal_wrench_N_Nm: Wrench | None = None
     """Force and moment that the grasp is to carry beside the load, at the end effector, object axes; none: zero."""
     grip_force_max_N: Annotated[float, Field(gt=0.0, le=1e4)] | None = None
-    """What the gripper holds by friction; the check compares with it; none: not judged."""
+    """What the gripper holds by friction, held against its part of the object and internal wrench; none: not judged."""
     controlled: Annotated[list[Label], Field(min_length=3, max_length=7)]
     """Joints the law moves, from base to tip: three parallel ones for a plane, six or seven for space."""
     locked_rad: dict[Label, Angle] = Field(default_factory=dict)

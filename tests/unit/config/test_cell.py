@@ -250,7 +250,7 @@ def test_internal_wrenches_reach_the_agents_and_move_nothing() -> None:
 
 def test_internal_wrench_above_the_grip_is_refused() -> None:
     text = refusal(with_internal("[F.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "grip_force_max_N = 0.5\n"))
-    assert "internal force on the grasp" in text
+    assert "force on the grasp, object and internal" in text
     assert "grip harder" in text
 
 
