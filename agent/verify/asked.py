@@ -12,7 +12,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
 from agent.control.models import ArmModel
@@ -36,12 +35,13 @@ class _Asked(NamedTuple):
     remedy: str
 
 
-def asked(cell: Cell, models: Sequence[ArmModel], paths: Sequence[Path], instants: Sequence[float]) -> list[Finding]:
+def asked(
+    cell: Cell, each: Sequence[Bounds], models: Sequence[ArmModel], paths: Sequence[Path], instants: Sequence[float]
+) -> list[Finding]:
     """What the motion takes more of than arms may give before they hold; nothing where it stays within.
 
-    models, paths: one per arm, at these instants, s.  Raises ConfigError as `agent.config.monitors.bounds` does.
+    each, models, paths: one per arm, at these instants, s.
     """
-    each = monitors.bounds_of_all(cell)
     found = [x for arm, b, path in zip(cell.arms, each, paths, strict=True) for x in _of_arm(cell, arm.name, b, path)]
     found += [*_box(cell, each[0], instants), *_seen(cell, models, paths)]
     otherwise = Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING

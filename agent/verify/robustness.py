@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,8 @@ from agent.verify.criterion.examine import Criterion, Found, examine
 from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, mean_bound_N, start_off
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import spare_N
-from agent.verify.loads import Load, Loads
-from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
+from agent.verify.one_fails import described, judged_alone
+from agent.verify.support import Statics, Support
 from drivers.interface import Vector
 
 PLACES = 12  # along the trajectory
@@ -71,39 +70,13 @@ class Robustness:
             "spectral_radius": found.radius,
             "delay_margin_s": found.delay_margin_s,
             "worst": {d.name.lower(): self._case(w) for d, w in found.worst.items()},
-            "one_arm_fails": {arm.name: self._failed(s) for arm, s in zip(cell.arms, self.support, strict=False)},
+            "one_arm_fails": {
+                arm.name: described(cell, self.instants, s) for arm, s in zip(cell.arms, self.support, strict=False)
+            },
             "internal_wrench": {
                 arm.name: {"force_N": d.force_N, "moment_Nm": d.moment_Nm}
                 for arm, d in zip(cell.arms, self.disagreement, strict=False)
             },
-        }
-
-    def _failed(self, found: Support) -> dict[str, Any]:
-        """The worst of each fault, what it is at every place, and what each of the others gives."""
-        limp = self._loads(found.limp)
-        for place, sag_m in zip(limp["along"], found.sag_along_m, strict=True):
-            place["sag_m"] = sag_m
-        return {
-            "noticed_s": found.noticed_s,
-            "limp": limp | {"sag_m": found.sag_m, "object": found.fate.value},
-            "locked": self._loads(found.locked),
-            "holding": self._loads(found.holding),
-        }
-
-    def _loads(self, loads: Loads) -> dict[str, Any]:
-        each = {self.walk.cell.arms[load.arm].name: self._load(load) for load in loads.each}
-        survivors = {
-            name: {key: load[key] for key in ("share_of_stall", "joint", "t_s")} for name, load in each.items()
-        }
-        return self._load(loads.most) | {"along": [self._load(load) for load in loads.along], "survivors": survivors}
-
-    def _load(self, load: Load) -> dict[str, Any]:
-        arm = self.walk.cell.arms[load.arm]
-        return {
-            "share_of_stall": load.share,
-            "arm": arm.name,
-            "joint": arm.entry.controlled[load.joint],
-            "t_s": self.instants[load.place],
         }
 
     def _case(self, found: Found) -> dict[str, Any]:
@@ -135,7 +108,7 @@ class Robustness:
                     remedy=f"{_MEANING[demand]}; take the gains that `coop tune` proposes, or raise rate_hz",
                 )
             )  # fmt: skip
-        failed = [f for i, s in enumerate(self.support) for f in self._failures(i, s)]
+        failed = [f for i, s in enumerate(self.support) for f in judged_alone(cell, self.instants, i, s)]
         return [*findings, self._margin(otherwise), *failed, *self._internal(), *self.reach, *_unseen(cell)]
 
     def _internal(self) -> list[Finding]:
@@ -150,47 +123,6 @@ class Robustness:
             )
             for arm, d, most_N in each
         ]  # fmt: skip
-
-    def _failures(self, arm: int, found: Support) -> list[Finding]:
-        """What becomes of the others and the object when this arm fails."""
-        cell = self.walk.cell
-        bound, where = cell.file.safety.tau_max_fraction_of_stall, cell.arms[arm].name
-        sag = f"sags by {found.sag_m * 1e3:.2g} mm" if math.isfinite(found.sag_m) else "falls"
-        remedy = "switch on safety.noticing" if found.noticed_s is None else "move more slowly"
-        remedy += ", squeeze less" * any(a.entry.internal_wrench_N_Nm for a in cell.arms)
-        return [
-            judged(
-                "this arm limp", where,
-                f"{self._loaded(found.limp.most)}; {sag}; at the stated tolerance: {found.fate.value}",
-                f"held within {HELD_SAG_M * 1e3:g} mm by {bound:.0%} of stall", holds=found.fate is Fate.HELD,
-                otherwise=Verdict.WARNING,
-                remedy="have a support below the object, a pose with less load, lighter arms or stiffer gains",
-            ),
-            *(
-                judged(
-                    f"this arm {what}", where, self._fought(load, found.noticed_s), f"≤ {bound:.0%}",
-                    holds=load.share <= bound, otherwise=Verdict.WARNING,
-                    remedy=f"{remedy}, or take softer gains",
-                )
-                for what, load in (("locked", found.locked.most), ("holding", found.holding.most))
-            ),
-        ]  # fmt: skip
-
-    def _fought(self, load: Load, noticed_s: float | None) -> str:
-        """What the others give against an arm that stays, and until when."""
-        if noticed_s is not None:
-            return f"{self._loaded(load)}, if noticed within {noticed_s:g} s"
-        safety, off = self.walk.cell.file.safety, "noticing is off: the others fight it until"
-        mm, mrad = safety.tracking_error_max_m * 1e3, safety.tracking_error_max_rad * 1e3
-        if load.share > (bound := safety.tau_max_fraction_of_stall):
-            given = self._loaded(replace(load, share=bound))
-            return f"up to the torque bound, {given}; {off} a monitor, or their error, holds them"
-        return f"{self._loaded(load)}; {off} they are {mm:g} mm or {mrad:g} mrad off, or as far as the motion goes"
-
-    def _loaded(self, load: Load) -> str:
-        arm = self.walk.cell.arms[load.arm]
-        at = f"t = {self.instants[load.place]:.3g} s"
-        return f"{load.share:.0%} of stall ({arm.name} {arm.entry.controlled[load.joint]}, {at})"
 
     def _where(self, found: Found) -> str:
         return "cell" if found.case.arm is None else self.walk.cell.arms[found.case.arm].name

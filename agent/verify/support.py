@@ -16,11 +16,12 @@ its least, as `[tolerance]` states them, breakaway not counted; NOT_HELD is what
 joints at rest resisting by more than moving ones; in between either may happen.  Friction that grows with load is that
 of the torque that holds arm and share (the motors of a limp arm give none), for NOT_HELD that of the largest torque.
 
-A locked arm carries itself; the others pull at it by what the desired pose moves on until they notice, in the time
-that is meant for that; where the motion is slow it may take longer.  Where noticing is off they pull until they are
-held for their errors, or as far as the motion goes (agent.verify.unnoticed).  An arm that holds gives way by its own
-stiffness, and where it braces itself (agent.control.brace) by so much less as its pull back is worth, but no less than
-a locked one.
+A locked arm carries itself; the others pull at it by what the desired pose moves on until they feel it
+(agent.verify.felt), but for no less than the time that is meant for noticing, and by what their law gives for the
+velocity that the object lacks, k_v + B K' H by way of the arm's inertia.  Where noticing is off they pull until they
+are held for their errors, or as far as the motion goes (agent.verify.unnoticed).  An arm that holds gives way by its
+own stiffness, and where it braces itself (agent.control.brace) by so much less as its pull back is worth, but no less
+than a locked one.
 """
 
 from __future__ import annotations
@@ -32,22 +33,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.config import noticing
-from agent.config.cell import Arm, Cell
-from agent.control.errors import HALF_ANGLE
-from agent.control.law import NO_WRENCH
+from agent.config import coordination, noticing
+from agent.config.cell import Cell
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import to_matrix
+from agent.verify.felt import STEP_S, Feeling
 from agent.verify.loads import Loads, loads, unbearable
 from agent.verify.rubbing import Rubbing
+from agent.verify.static_arm import applied, static_arm
 from agent.verify.unnoticed import ahead, until_off_track
 from drivers.interface import Vector
 
 HELD_SAG_M = 0.02
 NOTICED_S, NOTICED_MORE_S = 0.1, 0.5  # until a locked arm is noticed by one other, by more
 STEPS = 200  # to the balance, at the most
-STILL_RAD_PER_S, STILL_RAD = 1e-6, 1e-9
-PRESLIDING_RAD = 1e-3  # way of a joint on which its friction builds up
 BALANCED = 5e-3  # N, N·m
 LOST_M = 10.0
 LEAST_STIFFNESS = 1e-6  # where all torques are at their bounds, N/m, N·m/rad
@@ -65,54 +64,15 @@ class Fate(enum.StrEnum):
 class Support:
     """What the others bear when one arm fails, over all places."""
 
-    noticed_s: float | None  # after which a locked arm, or one that holds, is supposed to be noticed; None: never
+    noticed_s: float | None  # after which a locked arm, or one that holds, is noticed at the soonest; None: never
+    locked_s: tuple[float, ...]  # after which one is at every place; infinite: later than is looked at, or never
+    holding_s: tuple[float, ...]
     limp: Loads  # what motors give, feed-forward and all, where joints have no friction and torques no bounds
     sag_m: float  # as the files say, with both; infinite where it falls
     fate: Fate  # whatever of the stated tolerance is true
     locked: Loads
     holding: Loads
     sag_along_m: tuple[float, ...]  # the same at every place
-
-
-@dataclass(frozen=True, eq=False)
-class _Arm:
-    """One arm at all places (T, …), on the task rows."""
-
-    Jt: Matrix  # (T, n, m)
-    J_inv: Matrix  # (T, n, m)
-    g: Matrix  # (T, n)
-    S: Matrix  # (m, m) stiffness of its law
-    KH: Matrix  # (m, m)
-    load: Matrix  # (T, m) c_i W_O + f_int,i
-    held: Matrix  # (T, n) what holds arm and load, which presses on its gears
-    stall: Vector  # (n,)
-    rub: Rubbing
-    smooth_rad_per_s: float | None  # of the friction feed-forward; None: there is none
-
-    def wrench(self, tau: Matrix) -> Matrix:
-        """J⁻ᵀ τ, (T, m) of joint torques (T, n)."""
-        return _apply(np.swapaxes(self.J_inv, -1, -2), tau)
-
-    def law(self, x: Matrix) -> tuple[Matrix, Matrix]:
-        """τ (T, n) in HOLD with the object at x (T, m), and a slope (T, n, m) of −τ over x with which steps to where it
-        is balanced do not overshoot: of the smooth sign not its own slope, but that of the line to the origin."""
-        tau, slope = self.g + _apply(self.Jt, self.load - x @ self.S.T), self.Jt @ self.S
-        if self.smooth_rad_per_s is None:
-            return tau, slope
-        dq_ref = -_apply(self.J_inv, x @ self.KH.T)
-        turning = np.where(np.abs(dq_ref) < STILL_RAD_PER_S, STILL_RAD_PER_S, dq_ref)
-        sign, viscous = np.tanh(turning / self.smooth_rad_per_s), self.rub.viscous
-        steep = self.rub.fed(self.held, sign) * sign / turning
-        steep = steep + viscous
-        return tau + steep * dq_ref, slope + steep[..., None] * (self.J_inv @ self.KH)
-
-    def rubs(self, x: Matrix, bound: Matrix) -> tuple[Matrix, Matrix]:
-        """Friction (T, n), up to its bound (T, n), of joints that the object's way x (T, m) took along, and a slope as
-        of `law`."""
-        turned = _apply(self.J_inv, x)
-        turned = np.where(np.abs(turned) < STILL_RAD, STILL_RAD, turned)
-        steep = bound * np.tanh(turned / PRESLIDING_RAD) / turned
-        return -steep * turned, steep[..., None] * self.J_inv
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,15 +98,16 @@ class Statics:
         each = enumerate(zip(cell.arms, models, strict=True))
         desired = [cell.trajectory().at(t) for t in instants]
         R = np.reshape([to_matrix(d.quat) for d in desired], (-1, 3, 3))
-        self._arms = [_arm(cell, arm, model, [q[i] for q in along], R, self._weight) for i, (arm, model) in each]
+        self._arms = [static_arm(cell, arm, model, [q[i] for q in along], R, self._weight) for i, (arm, model) in each]
         twists = np.array([d.v for d in desired])
-        self._speed = twists @ P.T
         self._along = _units(twists[:, :3]) @ P[:, :3].T
         brace = noticing.brace(cell)
         self._brace_N = 0.0 if brace is None else brace.limit_N
         safety = cell.file.safety
         self._limits = safety.tracking_error_max_m, safety.tracking_error_max_rad
         self._ahead = None if safety.noticing.enabled else ahead(cell, instants) @ P.T
+        sense = coordination.residual(cell, cell.arms[0])
+        self._feeling = None if sense is None else Feeling(cell, sense, instants)
         # an arm's weight against its torque: masses and torque constants are independent
         off = math.hypot(tolerance.masses, tolerance.torque_constant)
         low, high = tolerance.friction
@@ -165,16 +126,20 @@ class Statics:
             fate = Fate.NOT_HELD
         noticed_s = NOTICED_S if len(others) == 1 else NOTICED_MORE_S
         S, S_others = self._arms[failed].S, np.sum([self._arms[i].S for i in others], axis=0)
-        if self._ahead is None:
-            gone = noticed_s * self._speed
-            left = gone - self._given(S, S_others, gone)
-        else:
+        locked_s = holding_s = tuple(math.inf for _ in x)
+        if self._feeling is not None:
+            ways = self._feeling.ways @ self._P.T
+            locked, locked_s = self._until_felt(others, ways, noticed_s)
+            holding, holding_s = self._until_felt(others, ways - self._given(S, S_others, ways), noticed_s)
+        elif self._ahead is not None:
             gone = self._until_off_track(self._ahead)
             left = self._until_off_track(self._ahead @ np.linalg.solve(S + S_others, S).T)
-        limp, locked, holding = (self._loads(others, way) for way in (x, -gone, -left))
+            locked, holding = self._loads(others, -gone), self._loads(others, -left)
         return Support(
-            noticed_s=noticed_s if self._ahead is None else None,
-            limp=limp,
+            noticed_s=noticed_s if self._feeling is not None else None,
+            locked_s=locked_s,
+            holding_s=holding_s,
+            limp=self._loads(others, x),
             sag_m=expected,
             fate=fate,
             locked=locked,
@@ -183,11 +148,21 @@ class Statics:
         )
 
     def _given(self, S: Matrix, S_others: Matrix, gone: Matrix) -> Matrix:
-        """(T, m) by which an arm that holds gives way: it stays where S x + pull = S_others (gone − x)."""
-        drawn = gone @ S_others.T
-        pull_N = np.clip(np.sum(drawn * self._along, axis=1), 0.0, self._brace_N)
-        given: Matrix = np.linalg.solve(S + S_others, (drawn - pull_N[:, None] * self._along).T).T
+        """(T, A, m) by which an arm that holds gives way: it stays where S x + pull = S_others (gone − x)."""
+        drawn, along = gone @ S_others.T, self._along[:, None]
+        pull_N = np.clip(np.sum(drawn * along, axis=-1, keepdims=True), 0.0, self._brace_N)
+        given: Matrix = (drawn - pull_N * along) @ np.linalg.inv(S + S_others).T
         return given
+
+    def _until_felt(self, others: Sequence[int], left: Matrix, least_s: float) -> tuple[Loads, tuple[float, ...]]:
+        """What the others give when one of them feels it, whose errors come to be left (T, A, m), and when, s."""
+        if self._feeling is None:
+            raise TypeError("nobody feels anything")
+        lacks = np.gradient(left, STEP_S, axis=1)
+        pulls = {i: left @ (arm := self._arms[i]).S.T + lacks @ np.swapaxes(arm.D, -1, -2) for i in others}
+        at, when = self._feeling.until_felt([pull @ self._P for pull in pulls.values()], least_s)
+        every = np.arange(len(left))
+        return self._loads(others, -left[every, at], lacks[every, at]), tuple(when.tolist())
 
     def _until_off_track(self, errors: Matrix) -> Matrix:
         """(T, m) of the others' errors (T, A, m) in the order of time."""
@@ -231,11 +206,13 @@ class Statics:
                 break
         return np.full_like(x, math.inf)
 
-    def _loads(self, others: Sequence[int], x: Matrix) -> Loads:
-        """What the others give with the object at x (T, m)."""
+    def _loads(self, others: Sequence[int], x: Matrix, lacks: Matrix | float = 0.0) -> Loads:
+        """What the others give with the object at x (T, m), which lacks that velocity (T, m)."""
         if not np.isfinite(x).all():  # no way of the object balances the weights
             return unbearable(others, len(x))
-        return loads({i: np.abs(self._arms[i].law(x)[0]) / self._arms[i].stall for i in others})
+        still = np.zeros_like(x) + lacks
+        given = {i: (arm := self._arms[i]).law(x)[0] + applied(arm.Jt @ arm.D, still) for i in others}
+        return loads({i: np.abs(tau) / self._arms[i].stall for i, tau in given.items()})
 
     def _sizes(self, x: Matrix) -> Vector:
         """(T,) displacements of the object, m; infinite where x is."""
@@ -244,40 +221,8 @@ class Statics:
         return np.where(np.isfinite(x).all(axis=-1), sizes, math.inf)
 
 
-def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], R: Matrix, weight: Vector) -> _Arm:
-    """R: (T, 3, 3) the object's attitudes."""
-    offline, P = cell.offline(arm), model.task_basis
-    gains = offline.gains
-    J = np.array([P @ model.task_basis.T @ model.jacobian(q) for q in along])
-    B_inv = np.linalg.inv([model.inertia(q) for q in along])
-    Jt = np.swapaxes(J, -1, -2)
-    KH = P @ np.diag(np.array([*gains.k_p, *gains.k_eps]) * HALF_ANGLE) @ P.T
-    S = P @ np.diag(gains.k_v) @ P.T @ KH + offline.load_share * P @ np.diag(HALF_ANGLE) @ P.T
-    g = np.array([model.evaluate(q, np.zeros(model.n)).g for q in along])
-    asked = np.reshape(offline.internal_wrench or NO_WRENCH, (2, 3))
-    load = offline.load_share * weight + np.reshape(asked @ np.swapaxes(R, -1, -2), (-1, 6)) @ P.T
-    return _Arm(
-        Jt=Jt,
-        J_inv=B_inv @ Jt @ np.linalg.inv(J @ B_inv @ Jt),
-        g=g,
-        S=S,
-        KH=KH,
-        load=load,
-        held=g + _apply(Jt, load),
-        stall=arm.tau_stall_Nm,
-        rub=Rubbing.of(arm.servos, cell.tolerance),
-        smooth_rad_per_s=None if offline.friction is None else offline.friction.smooth_rad_per_s,
-    )
-
-
 def _units(v: Matrix) -> Matrix:
     """Rows (T, 3) of length one, or zero where there is no motion."""
     length = np.linalg.norm(v, axis=1, keepdims=True)
     units: Matrix = np.divide(v, length, out=np.zeros_like(v), where=length > 0.0)
     return units
-
-
-def _apply(matrix: Matrix, vectors: Matrix) -> Matrix:
-    """(T, a) of matrices (…, a, b) and vectors (T, b)."""
-    result: Matrix = (matrix @ vectors[..., None])[..., 0]
-    return result

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from agent.config import monitors
 from agent.config.cell import Cell
 from agent.control.life import Life
 from agent.control.models import ArmModel
@@ -26,10 +27,10 @@ def examine_thoroughly(
 ) -> tuple[list[Finding], Robustness]:
     """Findings, and figures of what reality may make of the cell; instants: of the paths, s; of_arms: [session]."""
     each, along = [p.q for p in paths], list(zip(*(p.q for p in paths), strict=True))
-    scene = Scene(cell, models)
+    scene, bounds = Scene(cell, models), monitors.bounds_of_all(cell)
     findings = [
-        *watched(cell),
-        *asked(cell, models, paths, instants),
+        *watched(cell, bounds),
+        *asked(cell, bounds, models, paths, instants),
         *collisions(cell, models, each, instants, scene),
         *ways(cell, models, scene, of_arms, each, instants),
     ]

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agent.config import monitors
 from agent.config.cell import Cell
 from agent.monitors.body import LIMITED_TICKS
 from agent.monitors.bounds import Bounds, Name
 from agent.verify.finding import Finding, Verdict
 
 
-def watched(cell: Cell) -> list[Finding]:
-    """Bounds of every monitor that is on, and the names of those that the cell switches off.
-
-    Raises ConfigError where an arm cannot reach the object at its start.
-    """
-    what, each = "a monitor holds an arm", monitors.bounds_of_all(cell)
+def watched(cell: Cell, each: Sequence[Bounds]) -> list[Finding]:
+    """Bounds of every monitor that is on, one set per arm, and the names of those that the cell switches off."""
+    what = "a monitor holds an arm"
     found = [
         Finding(f"{what}: {name.value}", arm.name, text, "")
         for arm, bounds in zip(cell.arms, each, strict=True)

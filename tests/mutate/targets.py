@@ -196,6 +196,7 @@ TARGETS = (
     Target("agent.view.player", _PAGE),
     Target("agent.view.pose", _VIEW),
     Target("agent.verify.asked", (f"{UNIT}/verify/test_asked.py",)),
+    Target("agent.verify.felt", (f"{UNIT}/verify/test_felt.py",)),
     Target("agent.verify.collision.way", (f"{UNIT}/verify/test_way.py",)),
     Target("agent.verify.criterion.exponential", (f"{_CRITERION}/test_exponential.py",)),
     Target("agent.verify.criterion.power", (f"{_CRITERION}/test_power.py",)),

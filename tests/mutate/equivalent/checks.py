@@ -43,6 +43,8 @@ _A_TOUCH_SETS_IT = "a touch sets it as it begins, and nothing asks for it before
 _NOTHING_MORE = "where rounding alone is as large as one nothing is proved any more"
 _ALONG = "return _sized(rng, most, v if normal is None else normal * float(normal @ v), R)"
 _BOX = "found += [*_box(cell, each[0], instants), *_seen(cell, models, paths)]"
+_OVER = "over: NDArray[np.bool_] = np.any(_sizes(self._channels @ w) > self._most, axis=(0, 1, 4))"
+_ANGLE = "angle = 2.0 * np.arctan2(sine, np.abs(cosine)) * np.sign(cosine)"
 _JITTER = "return real.model_copy(update={'delay_jitter_s': min(jitter_s, real.delay_s or 0.0)})"
 _SENSE = "size, along = (np.abs(tau_rest), np.where(tau_rest >= 0.0, sign, -sign))"
 _BOUND = "return np.where(size + along * bound >= 0.0, bound, turned)"
@@ -152,5 +154,9 @@ CHECKS: Entries = {
     },
     "agent.verify.asked": {
         ("asked", _BOX, _BOX.replace("each[0]", "each[1]")): "the box is the same for all arms",
+    },
+    "agent.verify.felt": {
+        ("Feeling.until_felt", _OVER, _OVER.replace("> self", ">= self")): "nothing is at its limit to the bit",
+        ("_turned", _ANGLE, _ANGLE.replace("* np.sign", "/ np.sign")): "a sign is its own inverse",
     },
 }

@@ -25,7 +25,7 @@ def found_of(cell: Cell) -> list[Finding]:
     instants = np.linspace(0.0, 12.0, 49).tolist()
     starts = start_configurations(cell, models)
     paths = [along_trajectory(cell, *of, instants) for of in zip(cell.arms, models, starts, strict=True)]
-    return asked(cell, models, paths, instants)
+    return asked(cell, bounds_of_all(cell), models, paths, instants)
 
 
 @cache
@@ -94,7 +94,7 @@ def worst_of(**figures: list[float]) -> list[Finding]:
         for of in zip(cell.arms, models, start_configurations(cell, models), strict=True)
     )
     path = replace(left, **{key: np.array(figure) for key, figure in figures.items()})  # type: ignore[arg-type]
-    return asked(cell, models, [path, right], [0.0])
+    return asked(cell, bounds_of_all(cell), models, [path, right], [0.0])
 
 
 def test_the_joint_that_is_farthest_beyond_its_bound_is_named_whatever_the_bounds_are() -> None:
@@ -119,7 +119,7 @@ def test_half_a_step_of_every_encoder_moves_the_object_by_so_much() -> None:
     models = [cell.model(a) for a in cell.arms]
     starts = start_configurations(cell, models)
     paths = [along_trajectory(cell, *of, [0.0]) for of in zip(cell.arms, models, starts, strict=True)]
-    place, attitude = (f for f in asked(cell, models, paths, [0.0]) if "half a step" in f.what)
+    place, attitude = (f for f in asked(cell, bounds_of_all(cell), models, paths, [0.0]) if "half a step" in f.what)
     half = np.pi / 4096.0
     each = [
         (half * np.linalg.norm(J[:3]), half * np.linalg.norm(J[3:]))

@@ -7,11 +7,15 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import tomli_w
 
 import configs
-from agent.config.cell import Cell, cell_from_toml, placement
+from agent.config.cell import Arm, Cell, cell_from_toml, load_cell, placement
+from agent.config.schema.fault import Fault, FaultKind
+from agent.control.quaternion import Quat
+from agent.study.lab import Laboratory, Run
 from agent.verify.check import reach, start_configurations
 from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
 from tests.support.arm_files import sticking, with_figures
@@ -194,25 +198,53 @@ def test_a_locked_arm_is_pulled_harder_than_one_that_holds_and_none_at_rest() ->
 WEIGHTLESS = (NOTICED, "world.gravity_m_per_s2=[0.0, 0.0, 0.0]", "controller.friction_feedforward=false")
 
 
+AT_ONCE = ("safety.noticing.fast_N=1e-6", *WEIGHTLESS)  # whatever pulls is felt as soon as it may be
+
+
+def gone(cell: Cell, t: float, after_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """By how much the motion goes on (6,) and how fast it is then (6,)."""
+    now, later = (cell.trajectory().at(at) for at in (t, t + after_s))
+    return np.concatenate([np.subtract(later.p, now.p), turned(now.quat, later.quat)]), np.array(later.v)
+
+
+def turned(from_quat: Quat, to_quat: Quat) -> np.ndarray:
+    a, b = (placement((0.0, 0.0, 0.0), quat).rotation for quat in (from_quat, to_quat))
+    return pin.log3(b @ a.T)
+
+
+def pull_of(cell: Cell, arm: Arm, J: np.ndarray, B: np.ndarray, way: np.ndarray, lacks: np.ndarray) -> np.ndarray:
+    """What the law of an arm gives (m,) on its task rows for that way (6,) and velocity (6,) that the object lacks."""
+    offline, P = cell.offline(arm), cell.model(arm).task_basis
+    g, H = offline.gains, np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+    still = (np.array(g.k_v) * [*g.k_p, *g.k_eps] + offline.load_share) * H * way + np.array(g.k_v) * lacks
+    inertia = np.linalg.inv(J @ np.linalg.inv(B) @ J.T)
+    return P @ still + inertia @ P @ (np.array([*g.k_p_rate, *g.k_eps_rate]) * H * lacks)
+
+
+def placed_at(cell: Cell, arm: Arm, t: float) -> tuple[np.ndarray, np.ndarray]:
+    """Its Jacobian on its task rows and its inertia, with the object where it is to be."""
+    desired, model = cell.trajectory().at(t), cell.model(arm)
+    q = reach(arm, model, placement(desired.p, desired.quat), np.array(arm.entry.q_near_rad), "")
+    return model.jacobian(q), model.inertia(q)
+
+
 @pytest.mark.parametrize("squeeze_N", [0.0, 2.0])
 def test_the_pull_at_a_locked_arm_is_the_law_on_the_way_until_it_is_noticed(squeeze_N: float) -> None:
-    cell, t = gentle("paper", *WEIGHTLESS, *squeezed(squeeze_N)), 3.0
-    desired, arm = cell.trajectory().at(t), cell.arms[1]
-    model, offline, P = cell.model(arm), cell.offline(arm), cell.model(cell.arms[0]).task_basis
-    T = placement(desired.p, desired.quat)
-    q = reach(arm, model, T, np.array(arm.entry.q_near_rad), "")
-    gains, H = offline.gains, np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
-    pull = (np.array(gains.k_v) * [*gains.k_p, *gains.k_eps] + offline.load_share) * H * 0.1 * np.array(desired.v)
-    asked = np.reshape(offline.internal_wrench or np.zeros(6), (2, 3))
-    pull += (asked @ T.rotation.T).ravel()  # object axes, which turn with it
-    J = P @ model.task_basis.T @ model.jacobian(q)
-    expected = np.abs(J.T @ P @ pull) / arm.tau_stall_Nm
-    assert without(cell, 0, t).locked.most.share == pytest.approx(expected.max(), rel=1e-3)
+    cell, t = gentle("paper", *AT_ONCE, *squeezed(squeeze_N)), 3.0
+    arm = cell.arms[1]
+    J, B = placed_at(cell, arm, t)
+    way, lacks = gone(cell, t, 0.1)
+    asked = np.reshape(cell.offline(arm).internal_wrench or np.zeros(6), (2, 3))
+    squeeze = (asked @ placement((0.0, 0.0, 0.0), cell.trajectory().at(t).quat).rotation.T).ravel()  # in object axes
+    expected = J.T @ (pull_of(cell, arm, J, B, way, lacks) + cell.model(arm).task_basis @ squeeze)
+    found = without(cell, 0, t)
+    assert found.locked.most.share == pytest.approx(np.abs(expected / arm.tau_stall_Nm).max(), rel=2e-3)
+    assert found.locked_s == (0.1,)
 
 
 @pytest.mark.parametrize(("name", "count"), [("paper", 2), ("three_wx250s", 3)])
 def test_a_holding_arm_gives_way_by_its_part_of_the_stiffness(name: str, count: int) -> None:
-    found = without(gentle(name, *WEIGHTLESS, "safety.noticing.brace_N=0.0"), 0, 3.0)
+    found = without(gentle(name, *AT_ONCE, "safety.noticing.brace_N=0.0"), 0, 3.0)
     assert found.holding.most.share == pytest.approx(found.locked.most.share / count, rel=0.01)
 
 
@@ -220,18 +252,37 @@ def test_a_holding_arm_gives_way_by_its_part_of_the_stiffness(name: str, count: 
 def test_one_that_braces_itself_asks_each_of_the_others_for_its_part_of_that_pull_along_the_motion(
     brace_N: float,
 ) -> None:
-    cell, t = gentle("three_wx250s", *WEIGHTLESS, f"safety.noticing.brace_N={brace_N}"), 3.0
-    desired = cell.trajectory().at(t)
-    v, T, H = np.array(desired.v), placement(desired.p, desired.quat), np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+    cell, t = gentle("three_wx250s", *AT_ONCE, f"safety.noticing.brace_N={brace_N}"), 3.0
+    v, (way, lacks) = np.array(cell.trajectory().at(t).v), gone(cell, t, 0.5)
     shares = []
     for arm in cell.arms[1:]:
-        gains, q = cell.offline(arm).gains, reach(arm, cell.model(arm), T, np.array(arm.entry.q_near_rad), "")
-        pull = (np.array(gains.k_v) * [*gains.k_p, *gains.k_eps] + cell.offline(arm).load_share) * H * 0.5 * v
-        pull[:3] += brace_N * v[:3] / np.linalg.norm(v[:3])
-        shares.append(np.abs(cell.model(arm).jacobian(q).T @ pull / 3.0) / arm.tau_stall_Nm)
+        J, B = placed_at(cell, arm, t)
+        given = pull_of(cell, arm, J, B, way / 3.0, lacks / 3.0)
+        given[:3] += brace_N / 3.0 * v[:3] / np.linalg.norm(v[:3])
+        shares.append(np.abs(J.T @ given) / arm.tau_stall_Nm)
     found = without(cell, 0, t)
     assert found.holding.most.share == pytest.approx(np.max(shares), rel=0.01)
     assert found.holding.most.share < found.locked.most.share
+
+
+@pytest.mark.parametrize("kind", [FaultKind.LOCKED, FaultKind.HOLD])
+@pytest.mark.parametrize(("name", "at_s"), [("two_wx200", 3.7), ("two_wx200", 4.2), ("three_wx250s", 7.0)])
+def test_what_the_plant_asks_of_the_others_until_they_notice_is_about_what_is_said(
+    name: str, at_s: float, kind: FaultKind
+) -> None:
+    """Where the motion is slow, too, and they notice late: 0.1 s of it would be said to ask for 24 % of 31."""
+    cell = load_cell(Path(name), ["simulation.ready_s=1.2"])
+    lab, fault = Laboratory(cell), Fault(kind=kind, arm=cell.arms[0].name, at_s=at_s)
+    run, found = Run(lab, None, [fault]), without(cell, 0, at_s)
+    while run.t < at_s:
+        run.advance()
+    run.peak_Nm[:] = 0.0
+    while run.t < at_s + 1.5:
+        run.advance()
+    gave = float((run.peak_Nm / lab.stall_Nm)[cell.arms[0].n :].max())
+    said = (found.locked if kind is FaultKind.LOCKED else found.holding).most.share
+    assert gave - 0.02 < said < gave + 0.1
+    assert {trip.arm for trip in run.trips} >= {arm.name for arm in cell.arms[1:]}, "they noticed"
 
 
 @pytest.mark.parametrize(("name", "noticed_s"), [("paper", 0.1), ("three_wx250s", 0.5)])
@@ -290,10 +341,11 @@ def test_every_survivor_has_a_part_of_its_own_and_the_largest_is_that_of_the_fau
 
 def test_however_it_braces_itself_it_asks_for_no_more_than_a_locked_one() -> None:
     straight = "trajectory.points=[{t_s=0.0, p_m=[0.0, 0.0, 0.2]}, {t_s=6.0, p_m=[0.03, 0.02, 0.22]}]"
-    found = without(gentle("three_wx250s", *WEIGHTLESS, straight, "safety.noticing.brace_N=20.0"), 0, 3.0)
+    found = without(gentle("three_wx250s", *AT_ONCE, straight, "safety.noticing.brace_N=20.0"), 0, 3.0)
     assert found.holding.most.share == pytest.approx(found.locked.most.share, rel=0.01)
-    still = without(gentle("three_wx250s", *WEIGHTLESS, "safety.noticing.brace_N=20.0"), 0, 0.0)
+    still = without(gentle("three_wx250s", *AT_ONCE, straight, "safety.noticing.brace_N=20.0"), 0, 10.0)
     assert still.holding.most.share == pytest.approx(0.0, abs=1e-9), "at rest nobody carries it on"
+    assert still.holding_s == (math.inf,)
 
 
 @pytest.mark.parametrize(

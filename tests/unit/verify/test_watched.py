@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.config.cell import load_cell
-from agent.config.monitors import bounds
+from agent.config.cell import Cell, load_cell
+from agent.config.monitors import bounds, bounds_of_all
 from agent.monitors.bounds import Name
+from agent.verify import watched as module
 from agent.verify.check import examine
 from agent.verify.finding import Finding, Verdict
-from agent.verify.watched import watched
 
 CELL = Path("two_wx200")
+
+
+def watched(cell: Cell) -> list[Finding]:
+    return module.watched(cell, bounds_of_all(cell))
 
 
 def found_in(findings: list[Finding], name: Name, where: str = "cell") -> str:

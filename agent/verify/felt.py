@@ -1,0 +1,82 @@
+"""How far the motion goes on until the others feel that an arm stays: by the two channels of their residual.
+
+What pulls at the arm that stays is what each of the others feels: what its law gives for a pose that has gone ahead of
+the object and for the velocity that the object lacks.  It goes through the channels of agent.control.residual, of which
+the fast one is without the wrench's own part of the last seconds and the slow one low-passed; the first arm with one
+above its limit has noticed.  The blow at the begin, friction and the other senses are left out: they mostly notice
+sooner.  An arm that aligns itself to the one that stays does so later, with no more of a pull.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.config.cell import Cell
+from agent.control.models import Matrix
+from agent.control.residual import Residual
+from drivers.interface import Vector
+
+STEP_S: Final = 0.05
+STEPS: Final = 80  # as far as one looks for it
+
+
+class Feeling:
+    """How far the motion of a cell goes on from some instants, s, and when arms with such a residual feel it."""
+
+    def __init__(self, cell: Cell, residual: Residual, instants: Sequence[float]) -> None:
+        own, base, slow = (_low_pass(rate) for rate in (residual.rate_per_s, residual.base_per_s, residual.slow_per_s))
+        self._channels = np.stack([own - base @ own, slow @ own])[:, None, None]
+        self._most = np.reshape(residual.limits, (2, 1, 1, 1, 2))
+        self.ways = _ways(cell, instants)  # (T, STEPS + 1, 6) m and rotation vectors
+
+    def until_felt(self, pulls: Sequence[Matrix], least_s: float) -> tuple[NDArray[np.intp], Vector]:
+        """(T,) at which step it is felt, but no sooner than so long after, and after which time, s.
+
+        pulls: of every other arm the wrench (T, STEPS + 1, 6) on these ways.  Where it is not felt meanwhile it is the
+        step at which they pull hardest, and infinite.
+        """
+        w = np.stack(pulls)
+        over: NDArray[np.bool_] = np.any(_sizes(self._channels @ w) > self._most, axis=(0, 1, 4))
+        felt, hardest = over.any(axis=1), np.linalg.norm(w[..., :3], axis=-1).max(axis=0).argmax(axis=1)
+        at = np.where(felt, np.maximum(over.argmax(axis=1), round(least_s / STEP_S)), hardest)
+        return at, np.where(felt, at * STEP_S, math.inf)
+
+
+def _low_pass(rate_per_s: float) -> Matrix:
+    """What is low-passed (STEPS + 1,) of anything that begins after nothing, as a matrix."""
+    k = np.arange(STEPS + 1)
+    part, late = -math.expm1(-rate_per_s * STEP_S), k[:, None] - k
+    found: Matrix = np.where(late >= 0, part * (1.0 - part) ** np.maximum(late, 0), 0.0)
+    return found
+
+
+def _sizes(wrenches: Matrix) -> Matrix:
+    """(…, 2) N, N·m of wrenches (…, 6)."""
+    found: Matrix = np.linalg.norm(np.reshape(wrenches, (*wrenches.shape[:-1], 2, 3)), axis=-1)
+    return found
+
+
+def _ways(cell: Cell, instants: Sequence[float]) -> Matrix:
+    motion, last = cell.trajectory(), math.floor(cell.file.duration_s / STEP_S)
+    begin = np.minimum(np.round(np.array(instants) / STEP_S).astype(int), last)
+    every = np.minimum(begin[:, None] + np.arange(STEPS + 1), last)
+    needed, of = np.unique(every, return_inverse=True)
+    desired = [motion.at(k * STEP_S) for k in needed.tolist()]
+    p, quat = (np.array([d[part] for d in desired])[np.reshape(of, every.shape)] for part in (0, 1))
+    return np.concatenate([p - p[:, :1], _turned(quat)], axis=-1)
+
+
+def _turned(quat: Matrix) -> Matrix:
+    """Rotation vectors (T, A, 3) from the first attitude of every row (T, A, 4) on."""
+    w, v = quat[..., :1], quat[..., 1:]
+    w_0, v_0 = w[:, :1], v[:, :1]
+    along, cosine = w_0 * v - w * v_0 - np.cross(v, v_0), w * w_0 + np.sum(v * v_0, axis=-1, keepdims=True)
+    sine = np.linalg.norm(along, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, np.abs(cosine)) * np.sign(cosine)
+    turned: Matrix = np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0) * along
+    return turned
