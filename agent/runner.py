@@ -127,7 +127,7 @@ class Runner:
                 cycles.first(self._clock.now_ns())
             found = self._act(state, late_ns, begin_ns)
         else:
-            found = self._go_blind(deadline_ns, bus)
+            found = self._go_blind(deadline_ns, bus, late_ns, begin_ns)
         happened = happened | found if found else happened  # combining takes 1 µs, and mostly there is nothing
         self._around.heartbeat()
         if schedule.hold_at_end and self._mode is Mode.TRACK and self._ticks.past_end(deadline_ns + period_ns):
@@ -164,10 +164,9 @@ class Runner:
         return judged
 
     def _next(self, happened: Event) -> Mode:
-        if self._session is None:
-            follows = next_mode if self._agent.floating is None else floats.following
-            return follows(self._mode, happened)
-        return next_in_session(self._mode, happened)
+        if self._session is not None:
+            return next_in_session(self._mode, happened)
+        return (next_mode if self._agent.floating is None else floats.following)(self._mode, happened)
 
     def _skip(self, deadline_ns: int, *, good: bool) -> Event:
         """Leave out the cycles that this one took the time of; trouble once too few are good."""
@@ -212,8 +211,7 @@ class Runner:
             (after_write_ns - after_step_ns) * 1e-9, self._driver.counters,
         )  # fmt: skip
         self._sink.commit()
-        self._memory = outcome.memory
-        self._outcome = outcome
+        self._memory, self._outcome = outcome.memory, outcome
         self._rows += 1
         if mode is Mode.TRACK:
             if self._tracking_since_ns is None:
@@ -237,24 +235,26 @@ class Runner:
             self._untaken = str(error)
             return np.full_like(tau, np.nan)
 
-    def _go_blind(self, deadline_ns: int, bus: Bus) -> Event:
+    def _go_blind(self, deadline_ns: int, bus: Bus, late_ns: int, begin_ns: int) -> Event:
         """A cycle without a state: the last torque, then the weight's, then none; and a row that says so."""
-        patience, lost = self._schedule.patience, self._cycles.without_state(deadline_ns)
-        memory, n = self._memory, self._agent.model.n
-        nothing = np.full(n, np.nan)
+        patience, lost, wall_ns = self._schedule.patience, self._cycles.without_state(deadline_ns), self._around.wall_ns
+        read_s = (wall_ns() - begin_ns) * 1e-9 if bus is Bus.READ else np.nan  # until it failed
+        memory, nothing = self._memory, np.full(self._agent.model.n, np.nan)
         outcome = Outcome(nothing, nothing, None, memory.tau, Flag.STALE, memory)
         if lost > patience.repeat and not self._schedule.lockstep:
             outcome = blind(self._agent, self._mode, memory)
-        tau_sent = nothing
+        tau_sent, write_s = nothing, np.nan
         self._stale_cycles += 1
         if bus is Bus.READ and not self._schedule.lockstep:
+            before_ns = wall_ns()
             tau_sent = self._send(outcome.tau)
+            write_s = (wall_ns() - before_ns) * 1e-9
         if self._marks:
             outcome, self._marks = outcome._replace(flags=outcome.flags | self._marks), Flag.NONE
-        t = (deadline_ns - self._ticks.zero_ns) * 1e-9
+        t, utc_ns = (deadline_ns - self._ticks.zero_ns) * 1e-9, self._utc_offset_ns + deadline_ns
         state = JointState(deadline_ns, nothing, nothing, nothing)
-        utc_ns = self._utc_offset_ns + deadline_ns
         self._row.fill(self._rows, t, utc_ns, self._mode, state, memory, outcome, tau_sent)
+        self._row.fill_timing(late_ns * 1e-9, read_s, np.nan, write_s, self._driver.counters)
         self._sink.commit()
         self._rows += 1
         self._memory = outcome.memory

@@ -5,6 +5,7 @@ Where nothing can fall (simulation), a stop also releases the object; on real ar
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Protocol
@@ -228,7 +229,7 @@ def no_real_time(found: str) -> dict[str, str]:
     return {"found": found, "expected": "SCHED_FIFO on a real arm", "remedy": NO_REAL_TIME_REMEDY}
 
 
-def tick_of(ring: RingWriter) -> dict[str, float]:
-    """How long the last cycle took, s, and how many there have been."""
-    row = ring.row
-    return {"cycles": ring.written, **{name: float(row[name]) for name in ("late_s", "read_s", "step_s", "write_s")}}
+def tick_of(ring: RingWriter) -> dict[str, float | None]:
+    """How long the last cycle took, s, and how many there have been; None for what a cycle without a state lacks."""
+    took = {name: float(ring.row[name]) for name in ("late_s", "read_s", "step_s", "write_s")}
+    return {"cycles": ring.written, **{name: s if math.isfinite(s) else None for name, s in took.items()}}

@@ -28,9 +28,9 @@ from agent.report.plotting import (
     time_axis,
 )
 from agent.report.prepared import Prepared
-from agent.report.series import Array, column, component, joint_columns
+from agent.report.series import Array, column, component, duration, joint_columns
 
-DURATIONS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
+LABELS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
 NAMED_AT: Final = (0.02, 0.6, 0.2, 0.06)  # the fraction at which the curve of each duration is named
 # feedback first: it carries the noise and would hide the others
 TERMS: Final = ("feedback", "inertia", "coriolis", "gravity", "adaptive", "object", "internal", "friction", "posture")
@@ -48,7 +48,7 @@ MOVING_GROUPS: Final = 3  # of the groups of joints, those before breakaway and 
 
 def late_arms(run: Prepared) -> list[RunArm]:
     """The arms with a cycle that began late; none in lockstep simulation, where time waits."""
-    return [arm for arm in run.arms if np.any(column(run.rows[arm.name], "late_s") > 0.0)]
+    return [arm for arm in run.arms if np.any(duration(run.rows[arm.name], "late_s") > 0.0)]
 
 
 @styled
@@ -60,8 +60,8 @@ def loop_timing(run: Prepared) -> Figure:
     tail = axes[0]
     named: set[str] = set()
     for i, arm in enumerate(run.arms):
-        for j, (name, label) in enumerate(DURATIONS.items()):
-            x, fraction = tail_of(1e3 * column(run.rows[arm.name], name))
+        for j, (name, label) in enumerate(LABELS.items()):
+            x, fraction = tail_of(1e3 * duration(run.rows[arm.name], name))
             if len(x):
                 (curve,) = tail.plot(x, fraction, color=CYCLE[j], linestyle=STYLES[i % len(STYLES)])
                 if label not in named:
@@ -81,7 +81,7 @@ def loop_timing(run: Prepared) -> Figure:
 def _lateness(ax: Axes, run: Prepared) -> None:
     for i, arm in enumerate(run.arms):
         rows, colour = run.rows[arm.name], CYCLE[i % len(CYCLE)]
-        t, late, style = column(rows, "t"), 1e3 * column(rows, "late_s"), STYLES[i % len(STYLES)]
+        t, late, style = column(rows, "t"), 1e3 * duration(rows, "late_s"), STYLES[i % len(STYLES)]
         line(ax, t, late, color=colour, linestyle=style, label=arm.name, linewidth=0.8, clip_on=False)
     ax.set(ylabel="began late [ms]", title="Lateness of each cycle")
     ax.set_ylim(bottom=0.0)
@@ -96,7 +96,7 @@ def tail_of(values: Array) -> tuple[Array, Array]:
     if not count:
         return np.empty(0), np.empty(0)
     longer = np.unique(np.round(np.geomspace(1, count, TAIL_POINTS)).astype(int))
-    return ordered[count - longer], longer / len(values)
+    return ordered[count - longer], longer / np.count_nonzero(np.isfinite(values))
 
 
 @styled

@@ -26,9 +26,11 @@ from agent.report.results import (
     WrenchSize,
 )
 from agent.report.series import (
+    DURATIONS,
     Array,
     column,
     component,
+    duration,
     going_on,
     grasp_force,
     joint_columns,
@@ -99,16 +101,16 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
     period_s = 1.0 / info.rate_hz
     e_eta, lyapunov, flags = column(rows, "e_eta"), column(rows, "lyapunov"), whole["flags"]
     signs = np.sign(e_eta[np.isfinite(e_eta) & (e_eta != 0.0)])
-    late = column(whole, "late_s")
-    work = np.sum([column(whole, f) for f in ("read_s", "step_s", "write_s")], axis=0)
+    took = {f: duration(whole, f) for f in DURATIONS}
+    late = took["late_s"]
     return ArmResults(
         model=arm.model,
         modes=_modes(whole),
         flags={flag.name or "": int(np.sum(flags & flag.value != 0)) for flag in Flag if flag},
         joints={joint: _joint(arm, j, whole, rows, period_s) for j, joint in enumerate(arm.joints)},
         late_cycles=int(np.sum(late > LATE_PERIODS * period_s)),
-        overruns=int(np.sum(late + work > period_s)),
-        timing={f: Spread.of(column(whole, f)) for f in ("late_s", "read_s", "step_s", "write_s")},
+        overruns=int(np.sum(np.nansum([*took.values()], axis=0) > period_s)),
+        timing={f: Spread.of(values) for f, values in took.items()},
         bus={f: int(whole[f][-1]) for f in BUS_COUNTERS},
         wrench_cmd=_wrench_size(column(rows, "wrench_cmd")),
         internal_cmd=_wrench_size(column(rows, "wrench_internal")),

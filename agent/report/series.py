@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from agent.log.runinfo import Plane, RunInfo
 
 Array = NDArray[np.float64]
+
+DURATIONS: Final = ("late_s", "read_s", "step_s", "write_s")  # of a cycle, as its row has them
 
 
 # ------------------------------------------------------------------------------------------------ attitude, row by row
@@ -137,6 +139,17 @@ def going_on(arms: Mapping[str, Table], info: RunInfo) -> Mapping[str, Table]:
 def is_stale(rows: Table) -> NDArray[np.bool_]:
     """Rows (k,) of cycles that brought no fresh state: they say what was wanted, not what was."""
     return np.asarray(rows["flags"] & Flag.STALE.value != 0)
+
+
+def duration(rows: Table, name: str) -> Array:
+    """One of DURATIONS, `(k,)` s; NaN where nothing was measured.
+
+    Earlier releases left those of the row before it in a row without a fresh state: such a copy is no measurement.
+    """
+    took = np.stack([column(rows, each) for each in DURATIONS])
+    copied = np.zeros(len(rows), dtype=bool)
+    copied[1:] = is_stale(rows)[1:] & (took[:, 1:] == took[:, :-1]).all(axis=0)
+    return np.where(copied, np.nan, took[DURATIONS.index(name)])
 
 
 def pose_by_arm(name: str, rows: Table) -> PoseSeries:

@@ -7,7 +7,7 @@ import pytest
 
 from agent.modes import Mode
 from agent.safety import Flag
-from tests.support.runner_rig import WALL_NS, MovedClock, fault, lost_at, period_ns, run
+from tests.support.runner_rig import FAULT_AFTER_STALE, WALL_NS, MovedClock, fault, lost, lost_at, period_ns, run
 
 
 def test_rows_are_numbered_without_gaps() -> None:
@@ -53,6 +53,27 @@ def test_durations_of_a_cycle_are_those_of_its_parts() -> None:
     rows = run().rows
     for name, wall_ns in zip(("read_s", "step_s", "write_s"), WALL_NS[1:], strict=True):
         assert rows[name] == pytest.approx(wall_ns * 1e-9), name
+
+
+def test_a_cycle_without_a_state_has_its_own_durations_and_none_of_what_it_did_not_do() -> None:
+    done = run(failures=lost_at(15), oversleeps_ns={15: period_ns() // 2})
+    row = done.rows[14]
+    assert row["flags"] == Flag.STALE
+    assert row["late_s"] == pytest.approx(0.5e-9 * period_ns())
+    assert (row["read_s"], row["write_s"]) == pytest.approx((1e-9 * WALL_NS[1], 1e-9 * WALL_NS[3]))
+    assert np.isnan(row["step_s"]), "it takes no step"
+    assert (done.rows["late_s"][[13, 15]] == 0.0).all()
+    assert row["bus_retries"] == 5
+
+
+def test_a_cycle_that_says_nothing_on_the_bus_has_no_duration_of_a_read_or_write() -> None:
+    quiet = {"lapses": frozenset({0}), "answers": (lost(),)}
+    done = run(failures=lost_at(*range(15, 60)), returning=quiet, hold_at_end=True)
+    after = done.rows[14 + FAULT_AFTER_STALE : 16 + FAULT_AFTER_STALE]
+    assert len(after) == 2
+    for name in ("read_s", "step_s", "write_s"):
+        assert np.isnan(after[name]).all(), name
+    assert (after["late_s"] == 0.0).all()
 
 
 def test_counters_of_the_bus_are_in_every_row() -> None:

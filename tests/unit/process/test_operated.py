@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import configs
@@ -28,7 +30,7 @@ from agent.operator.table import EVENT_OF, TABLE, Verb
 from agent.process import agent, operated
 from agent.process.clocked import ClockWatch
 from agent.process.commands import AgentOptions
-from agent.process.operated import Operator
+from agent.process.operated import Operator, tick_of
 from agent.session_modes import next_in_session
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
@@ -514,3 +516,10 @@ def test_the_details_of_an_answer_fit_into_it(rig: Rig) -> None:
     rig.control.standing.reason = "x" * 5000
     assert len(rig.control._refused("f" * 80, "e", "r").encode()) < 4096
     assert json.loads(rig.control._reply(ok=True).encode())["reason"] == "x" * 399 + "…"
+
+
+def test_what_a_cycle_without_a_state_did_not_do_has_no_duration_in_an_answer() -> None:
+    row = np.zeros((), AGENT_STATE.dtype)
+    row["late_s"], row["read_s"], row["step_s"], row["write_s"] = 1e-3, 2e-3, np.nan, np.inf
+    ring: Any = SimpleNamespace(row=row, written=7)
+    assert tick_of(ring) == {"cycles": 7, "late_s": 1e-3, "read_s": 2e-3, "step_s": None, "write_s": None}

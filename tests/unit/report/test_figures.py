@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 
 from agent.log.read import RunLog
 from agent.report import figures
-from agent.report.figures_more import DURATIONS, estimates, loop_timing, tail_of
+from agent.report.figures_more import estimates, loop_timing, tail_of
 from agent.report.figures_together import in_stretches
 from agent.report.gallery import pictures
 from agent.report.names import picture_files
@@ -28,6 +28,7 @@ from agent.report.plotting import DRAWN_MAX, UNDRAWN, drawable, in_columns, pane
 from agent.report.plotting import line as draw_line
 from agent.report.prepared import prepare
 from agent.report.report import write_report
+from agent.report.series import DURATIONS
 from tests.support.telemetry.synthetic_run import paper_run, spatial_run
 
 RUNS = {

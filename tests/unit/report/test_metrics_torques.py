@@ -15,7 +15,8 @@ from hypothesis.extra.numpy import arrays
 from agent.log.servos import servo_table
 from agent.modes import Mode
 from agent.report.metrics import summarise
-from agent.report.series import internal_wrenches, rotate
+from agent.report.prepared import prepare
+from agent.report.series import duration, internal_wrenches, rotate
 from agent.safety import Flag
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import Health
@@ -134,6 +135,19 @@ def test_late_cycles_and_overruns() -> None:
     results = summarise(log)
     assert results.arms["left"].late_cycles == results.late_cycles == 3
     assert results.arms["left"].overruns == 5
+
+
+def test_durations_that_a_row_without_a_state_has_of_the_one_before_count_once() -> None:
+    """Rows of releases before this one; those of this one have their own."""
+    log = small_run()
+    rows = log.agents["left"]
+    rows["flags"][100:104] = Flag.STALE
+    for name, took_s in (("late_s", 1.5), ("read_s", 0.7), ("step_s", 0.3), ("write_s", 0.2)):
+        rows[name][99:103] = took_s / RATE_HZ
+    rows["late_s"][103], rows["step_s"][103], rows["write_s"][103] = 1.2 / RATE_HZ, np.nan, np.nan
+    left = summarise(log).arms["left"]
+    assert (left.late_cycles, left.overruns) == (2, 2)
+    assert np.flatnonzero(np.isnan(duration(prepare(log).whole["left"], "read_s"))).tolist() == [100, 101, 102]
 
 
 def test_percentiles_of_the_loop() -> None:
