@@ -14,6 +14,7 @@ from agent.report.arithmetic import NAN, mean, most, rms
 from agent.report.errors import complaints, disagreement, left_apart, pose_errors
 from agent.report.grip import grip_results
 from agent.report.loss import loss_of
+from agent.report.pace import Pace, pace_notes
 from agent.report.phases import session_of
 from agent.report.prepared import Prepared, prepare
 from agent.report.rehearsal import added_to, hil_results
@@ -72,12 +73,14 @@ def summarise_prepared(run: Prepared) -> Results:
     rows = {arm.name: _completeness(run, arm.name) for arm in info.arms}
     factor = _real_time_factor(run, missing)
     found, set_down = session_of(run.log)
+    arms = {arm.name: _arm(arm, run) for arm in info.arms if arm.name in run.whole}
+    missing += pace_notes({name: arm.pace for name, arm in arms.items()})
     return Results(
         info=info,
         complete=run.log.complete and all(not c.gaps for c in rows.values()),
         by_plant=by_plant,
         by_arm=by_arm,
-        arms={arm.name: _arm(arm, run) for arm in info.arms if arm.name in run.whole},
+        arms=arms,
         rows=rows,
         arm_disagreement_m=disagreement(run),
         arm_disagreement_left_m=left_apart(run),
@@ -110,6 +113,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         joints={joint: _joint(arm, j, whole, rows, period_s) for j, joint in enumerate(arm.joints)},
         late_cycles=int(np.sum(late > LATE_PERIODS * period_s)),
         overruns=int(np.sum(np.nansum([*took.values()], axis=0) > period_s)),
+        pace=Pace.of(rows, info.rate_hz),
         timing={f: Spread.of(values) for f, values in took.items()},
         bus={f: int(whole[f][-1]) for f in BUS_COUNTERS},
         wrench_cmd=_wrench_size(column(rows, "wrench_cmd")),

@@ -15,6 +15,7 @@ from agent.report.arithmetic import NAN
 from agent.report.decay import AttitudeDecay, PositionDecay
 from agent.report.grip import GripResults
 from agent.report.loss import Loss, loss_keys
+from agent.report.pace import Pace
 from agent.report.phases import Phase
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
 from agent.report.rehearsal import HilResults
@@ -118,6 +119,7 @@ class ArmResults:
     joints: Mapping[str, JointResults]
     late_cycles: Count
     overruns: Count
+    pace: Pace
     timing: Mapping[str, Spread]
     bus: Mapping[str, int]
     wrench_cmd: WrenchSize

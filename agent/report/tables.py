@@ -11,6 +11,7 @@ from typing import Final
 from agent.log.runinfo import Bounded
 from agent.modes import Mode
 from agent.report.numbers import ABSENT, instant, millimetres, milliradians, milliseconds, number
+from agent.report.pace import pace_line
 from agent.report.results import Judgement, PoseErrors, Results, WrenchSize
 
 WORDS: Final = {Judgement.MET: "✓ met", Judgement.NOT_MET: "✗ not met", Judgement.NOT_SHOWN: "? not shown"}
@@ -55,6 +56,7 @@ def lines(results: Results) -> list[Line]:
         Line("arms disagree on the object by", _disagreement(results)),
         Line("real-time factor", number(results.real_time_factor)),
         Line("late cycles", str(results.late_cycles)),
+        Line("cycles left out", pace_line({name: a.pace for name, a in results.arms.items()})),
         Line("events", str(results.events)),
     ]
     if results.rehearsing:
@@ -254,6 +256,7 @@ def _log(results: Results) -> Table:
         "missing",
         "late",
         "overruns",
+        "left out of those due",
         "bus: timeout, corrupt, alert, retry",
     )
 
@@ -262,7 +265,11 @@ def _log(results: Results) -> Table:
         gaps = ", ".join(f"{first}–{last}" if last > first else str(first) for first, last in c.gaps[:4])
         more = f" and {len(c.gaps) - 4} more" if len(c.gaps) > 4 else ""
         bus = ", ".join(str(v) for v in a.bus.values()) if a else ABSENT
-        late = (str(a.late_cycles), str(a.overruns)) if a else (ABSENT, ABSENT)
+        late = (
+            (str(a.late_cycles), str(a.overruns), f"{a.pace.left_out_cycles} of {a.pace.due_cycles}")
+            if a
+            else 3 * (ABSENT,)
+        )
         return name, str(c.expected), str(c.recorded), str(c.after_end), (gaps + more) or "none", *late, bus
 
     return Table("Rows and cycles", header, tuple(row(name) for name in results.rows))
