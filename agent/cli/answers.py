@@ -39,7 +39,7 @@ def events(
             asked = [event for event in every if not arm or event.source in arm]
             timed = [(trajectory_time(event, opened.agents.get(event.source)), event) for event in asked]
     chosen = [(t, event) for t, event in timed if from_s <= t < to_s or math.isnan(t)]
-    for problem in opened.problems:
+    for problem in opened.remarks:
         note(f"{log}: {problem}")
     if as_json:
         print_json({"schema": SCHEMA, "log": str(log), "events": [_document(t, event) for t, event in chosen]})
@@ -100,7 +100,7 @@ def grasps(log: LogPath, as_json: AsJson = False) -> None:
         step("reading the log")
         with open_log(log) as opened:
             found = of_log(opened, recorded_cell(opened))
-    for problem in opened.problems:
+    for problem in opened.remarks:
         note(f"{log}: {problem}")
     if as_json:
         arms = {

@@ -101,7 +101,8 @@ def compare(
             with open_log(log) as opened:
                 run = prepare(opened)
                 results = summarise_prepared(run)
-                untold += [f"{log}: {line}" for line in (opened.problems if as_json else results.missing)]
+                told = opened.remarks if as_json else dict.fromkeys((*opened.remarks, *results.missing))
+                untold += [f"{log}: {line}" for line in told]
                 runs.append(ComparedRun(log, results, settings_of(opened), error_series(run)))
         if html is not None:
             from agent.report.compare_page import write_comparison
@@ -223,7 +224,7 @@ def export(
             step("writing")
             choice = Choice(tuple(arm), tuple(field), from_s, to_s)
             done = export_log(opened, folder, Format(form.value), choice, replace=force)
-    for problem in opened.problems:
+    for problem in opened.remarks:
         note(f"{log}: {problem}")
     for name, rows in done.rows.items():
         typer.echo(f"{folder / name}  {rows} rows")

@@ -77,7 +77,7 @@ def _show_same(log: Path, other: Path, *, as_json: bool) -> None:
         step("reading the logs")
         with open_log(log, any_layout=True) as a, open_log(other, any_layout=True) as b:
             compared = same(a, b)
-    notes = [f"{read.path}: {problem}" for read in (a, b) for problem in read.problems]
+    notes = [f"{read.path}: {problem}" for read in (a, b) for problem in read.remarks]
     if as_json:
         print_json(comparison_document(a, compared, notes) | {"other": str(other)})
     else:
@@ -96,7 +96,7 @@ def _show_comparison(
 
     compared = verify(log, cell, window, arm, step)
     step.clear()
-    notes = [*log.problems, *version_notes(log)]
+    notes = [*log.remarks, *version_notes(log)]
     if as_json:
         print_json(comparison_document(log, compared, notes))
     else:
@@ -129,7 +129,7 @@ def _show_changed(
         step("drawing")
         save_picture(torques, changes, picture)
     step.clear()
-    for line in log.problems:
+    for line in log.remarks:
         note(f"{log.path}: {line}")
     if as_json:
         print_json(torque_document(log, changes, torques))

@@ -124,7 +124,7 @@ def _html(log: Path, html: Path) -> None:
 
 
 def _tell(log: AnyLog) -> None:
-    for problem in log.problems:
+    for problem in log.remarks:
         note(f"{log.path}: {problem}")
 
 

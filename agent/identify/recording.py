@@ -146,7 +146,7 @@ def _refuse_incomplete(log: AnyLog, arm: str) -> None:
     gaps = sum(last - first + 1 for first, last in log.gaps.get(arm, ()))
     if log.complete and not gaps and arm in log.agents:
         return
-    what = log.problems[0] if log.problems else f"{gaps} rows missing" if gaps else "the recorder did not finish it"
+    what = (*log.problems, *log.lacks, f"{gaps} rows missing" if gaps else "the recorder did not finish it")[0]
     raise IdentifyError(
         f"log {log.path.name}", found=what, expected="a complete log", remedy="record again, or try `coop recover`"
     )

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from agent.host.info import RUN_FILE
 from agent.log.collect import Collected, LogError, Needs
 from agent.log.columns import ColumnFile, StoredRows, Table
+from agent.log.lacking import lacking, missing
 from agent.log.servos import ServoTable, servo_table
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, Layout
@@ -45,11 +46,17 @@ class Log(Generic[Rows]):
     events: list[Event]  # by time, each once
     attachments: dict[str, bytes]
     metadata: dict[str, dict[str, str]]
-    complete: bool  # the recorder finished the file, nothing is missing, nothing is damaged
-    gaps: dict[str, Gaps]  # by member: absent sequence numbers, first and last of each gap
+    complete: bool  # the recorder finished the file, no row of an arm or of the plant is missing, nothing is damaged
+    gaps: dict[str, Gaps]  # by member: absent sequence numbers, first and last of each gap; the plant writes every k-th
     problems: tuple[str, ...] = field(default=())  # what is wrong with the file, for a person
+    lacks: tuple[str, ...] = field(default=())  # what of the run is not in it, for a person
     layouts: Mapping[str, Layout] = field(default_factory=dict)  # by member, as the log's own schemas have them
     servos: Mapping[str, ServoTable] = field(default_factory=dict)  # by arm; simulated arms have no servos, so no entry
+
+    @property
+    def remarks(self) -> list[str]:
+        """What whoever works with the log must be told first: a line for each problem, one for all that it lacks."""
+        return [*self.problems, *([f"not all of the run is in it: {'; '.join(self.lacks)}"] if self.lacks else [])]
 
     def run_info(self) -> dict[str, Any]:
         """The run's description.  Raises LogError when the log has none."""
@@ -137,8 +144,15 @@ def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows
             expected=f"messages of {AGENT_STATE.ros_name}",
             remedy="take a log that `coop record` made",
         )
-    told = collected.metadata.get(COMPLETENESS, {}).get("complete") == "true"
+    told: Mapping[str, str] = collected.metadata.get(COMPLETENESS, {})
+    gaps = {member: _gaps(own["sequence"], of_plant=member == PLANT) for member, own in rows.items()}
+    absent = {member: sum(last - first + 1 for first, last in own) for member, own in gaps.items() if member != PLANT}
+    gone: list[str] = lacking(told, {member: len(own) for member, own in rows.items()}, absent, _arms(collected))
     left_out = int(collected.metadata.get(RECOVERY, {}).get("damaged", "0"))
+    complete = told.get("complete") == "true" and not problems and not gone and not left_out
+    lacks = [*missing(told), *gone]
+    if not complete and not lacks and not problems:
+        lacks = ["what is damaged was left out when it was mended" if left_out else _unfinished(told)]
     return Log(
         path=collected.path,
         cell=collected.cell,
@@ -147,12 +161,27 @@ def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows
         events=collected.events,
         attachments=collected.attachments,
         metadata=collected.metadata,
-        complete=told and not problems and not left_out,
-        gaps={member: _gaps(own["sequence"]) for member, own in rows.items()},
+        complete=complete,
+        gaps=gaps,
         problems=tuple(problems),
+        lacks=tuple(lacks),
         layouts=collected.layouts,
         servos=_servos(collected, agents),
     )
+
+
+def _arms(collected: Collected[Any]) -> list[str]:
+    """Names of the run's arms, as far as the file tells."""
+    try:
+        arms = _described(json.loads(collected.attachments[RUN_FILE])).get("arms")
+    except (KeyError, ValueError, RecursionError):
+        return []
+    named = [arm.get("name") for arm in arms if isinstance(arm, dict)] if isinstance(arms, list) else []
+    return [name for name in named if isinstance(name, str)]
+
+
+def _unfinished(told: Mapping[str, str]) -> str:
+    return "its recorder says so" if told else "its recorder did not finish it, and nothing says what was to come"
 
 
 def _servos(collected: Collected[Any], agents: Mapping[str, AnyRows]) -> dict[str, ServoTable]:
@@ -171,6 +200,8 @@ def _by_sequence(rows: AnyRows) -> AnyRows:
     return ordered
 
 
-def _gaps(sequence: NDArray[np.uint64]) -> Gaps:
-    where = np.flatnonzero(sequence[1:] - sequence[:-1] > 1)
-    return tuple((int(sequence[i]) + 1, int(sequence[i + 1]) - 1) for i in where)
+def _gaps(sequence: NDArray[np.uint64], *, of_plant: bool) -> Gaps:
+    steps = sequence[1:] - sequence[:-1]
+    usual = int(np.median(steps)) if of_plant and len(steps) else 1  # it may tell the truth less often than it ticks
+    where = np.flatnonzero(steps > usual)
+    return tuple((int(sequence[i]) + usual, int(sequence[i + 1]) - usual) for i in where)

@@ -166,8 +166,13 @@ class Run:
         return self._log.complete
 
     @property
+    def lacks(self) -> tuple[str, ...]:
+        """What of the run is not in the log: rows, an arm, its end."""
+        return self._log.lacks
+
+    @property
     def gaps(self) -> Mapping[str, tuple[tuple[int, int], ...]]:
-        """By arm, first and last row number of every stretch that is missing."""
+        """By arm, first and last row number of every stretch that is missing; of the plant, of those it writes."""
         return self._log.gaps
 
     @property

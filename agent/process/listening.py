@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 from agent.config.schema.driver import DriverKind
 from agent.host.signals import begin
 from agent.host.starting import ready
+from agent.log.lacking import missing
 from agent.process.commands import RecordCommand, TelemetryCommand
 from agent.process.started import Listener
 
 INCOMPLETE: Final = 1  # exit code: done, and rows are missing
-_WHERE: Final = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
 
 
 def telemetry(command: TelemetryCommand, listener: Listener) -> int:
@@ -112,27 +111,6 @@ def record(command: RecordCommand, listener: Listener) -> int:
         why = report.failure or "; ".join(missing(report.completeness)) or "an earlier one of its logs says what"
         listener.say(f"{report.logs[-1]}: INCOMPLETE: {why}")
     return 4 if report.failure else _code(command, whole=report.complete)
-
-
-def missing(completeness: Mapping[str, str]) -> list[str]:
-    """What is not in a log and why, by member; from its last metadata record."""
-    found = []
-    for key, expected in completeness.items():
-        member, _, what = key.rpartition(".")
-        if what != "rows_expected":
-            continue
-        names = ("rows_before", "missing_before", "rows_recorded", "end", *_WHERE)
-        of = {name: completeness[f"{member}.{name}"] for name in names}
-        if of["missing_before"] != "0":
-            found.append(f"{of['missing_before']} rows of {member} are missing in the logs before")
-        if expected == of["rows_before"] == "0":
-            found.append(f"no row of {member} came")
-        elif of["rows_recorded"] != expected:
-            where = ", ".join(f"{of[name]} lost {words}" for name, words in _WHERE.items() if of[name] != "0")
-            found.append(f"{of['rows_recorded']} of {expected} rows of {member}" + (f", {where}" if where else ""))
-        elif of["end"] == "open":
-            found.append(f"{member} had not ended")
-    return found
 
 
 def _bytes(megabytes: int | None) -> int | None:

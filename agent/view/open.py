@@ -27,7 +27,7 @@ def serve(
         run = prepare(opened)
         staged = stage(run, PICTURES_HZ)
         moments = moments_of(run)
-    for problem in run.log.problems:
+    for problem in run.log.remarks:
         say(f"{log}: {problem}")
     player = Player(server, Nodes(server, staged.scene, staged.camera(PAGE_PX), titled=False), staged, moments)
     player.step()

@@ -21,7 +21,7 @@ from agent.log.scan import LogScan
 from agent.log.writer import CHUNK_BYTES
 from agent.telemetry.row.topics import PLANT
 from tests.support.telemetry.log_maker import RUN_JSON, LogMaker, make_log
-from tests.support.telemetry.telemetry_cell import make_rows
+from tests.support.telemetry.telemetry_cell import ARMS, make_rows
 
 
 def create(path: Path, min_free_bytes: int = 0) -> LogFile:
@@ -129,7 +129,7 @@ def test_a_disk_that_fills_up_is_told_of_while_there_is_room_to_finish(tmp_path:
 def test_a_folder_that_is_moved_takes_the_whole_log_with_it(tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
     rows = make_rows("left", 20)
-    maker = LogMaker(tmp_path / "here" / "run.mcap", has_plant=False)
+    maker = LogMaker(tmp_path / "here" / "run.mcap", has_plant=False, arms={"left": ARMS["left"]})
     maker.write("left", rows[:10])
     maker.flush()
     (tmp_path / "here").rename(tmp_path / "there")

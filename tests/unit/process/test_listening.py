@@ -8,10 +8,11 @@ import pytest
 
 import configs
 from agent.config.schema.driver import DriverKind
+from agent.log.lacking import missing
 from agent.process import recorder as recorders
 from agent.process import telemetry as telemetries
 from agent.process.commands import RecordCommand, TelemetryCommand
-from agent.process.listening import missing, record, telemetry
+from agent.process.listening import record, telemetry
 from agent.process.started import Listener
 from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.link.publication import PublishReport

@@ -14,10 +14,10 @@ from hypothesis.extra.numpy import arrays
 
 from agent.control.alignment import shifted
 from agent.control.trajectory import Desired
+from agent.log.lacking import missing
 from agent.log.read import RunLog
 from agent.log.runinfo import Bounded
 from agent.modes import Mode
-from agent.process import listening
 from agent.report.compare import label
 from agent.report.metrics import summarise
 from agent.report.page import _summary
@@ -490,7 +490,7 @@ def test_of_a_plant_that_sent_nothing_the_report_says_what_the_recorder_said() -
         agents = {name: rows for name, rows in log.agents.items() if name != member}
         lacking = replace(log, agents=agents, gaps=dict.fromkeys((*log.agents, "plant"), ()), complete=False)
         results = summarise(replace(lacking, plant=None, metadata={"completeness": of}))
-        return listening.missing(of), [text for text in results.missing if member in text]
+        return missing(of), [text for text in results.missing if member in text]
 
     assert said("plant") == (["no row of plant came"], ["no row of plant came"])
     assert said("plant", before=9)[1] == ["plant had not ended when the recorder did"], "it came to the log before"
