@@ -212,16 +212,20 @@ def line(ax: Axes, t: Array, values: Array, **style: Any) -> None:
     """Draw a series: short ones as they are, long ones as mean and range of each column of pixels.
 
     The range is a shade of the same colour, so a single peak is seen and noise hides no other curve.  Where rows
-    are missing, or values are beyond DRAWN_MAX, the line is broken.  Without a style of its own a curve has the
-    dashes of its colour.
+    are missing, or values are beyond DRAWN_MAX, the line is broken; what stands alone between two gaps is a point.
+    Without a style of its own a curve has the dashes of its colour.
     """
     style.setdefault("linestyle", DASHES.get(style.get("color", ""), _SOLID))
     spans = unbroken(t, drawable(ax, values))
+    alone = [(x[0], y[0]) for x, y in spans if len(x) == 1]
+    if alone:
+        point = {"linestyle": "none", "marker": ".", "markersize": 3.5, "label": "_alone"}
+        ax.plot(*zip(*alone, strict=True), **style | point)
     if sum(len(x) for x, _ in spans) <= 4 * COLUMNS:
         ax.plot(*_joined(spans), **style)
         return
     share = COLUMNS / max(sum(len(x) for x, _ in spans), 1)
-    parts = [in_columns(x, y, max(1, round(share * len(x)))) for x, y in spans]
+    parts = [in_columns(x, y, max(2, round(share * len(x)))) for x, y in spans]
     mean_t, mean = _joined([(c.t, c.mean) for c in parts])
     ax.plot(mean_t, mean, **style)
     lowest = _joined([(c.t, c.lowest) for c in parts])[1]

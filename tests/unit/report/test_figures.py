@@ -285,6 +285,30 @@ def test_missing_rows_break_the_line(rows: int) -> None:
     assert x[gap + 1] == t[rows // 2]
 
 
+@pytest.mark.parametrize("rows", [100, 20_000])
+def test_a_peak_alone_between_two_gaps_is_a_point(rows: int) -> None:
+    values = np.ones(rows)
+    values[[9, 11, 30, 32]], values[10], values[31] = np.nan, 7.0, 5.0
+    _, (ax,) = panels(1)
+    draw_line(ax, np.arange(rows) * 0.005, values, color="#005c9e")
+    (points,) = [line for line in ax.lines if line.get_marker() == "."]
+    assert [tuple(xy) for xy in points.get_xydata()] == [(0.05, 7.0), (pytest.approx(0.155), 5.0)]  # type: ignore[arg-type]
+    assert (points.get_linestyle(), points.get_color()) == ("None", "#005c9e")
+    assert str(points.get_label()).startswith("_"), "it has no name beside the panel"
+
+
+def test_a_short_stretch_between_two_gaps_of_a_long_series_has_its_range() -> None:
+    values = np.ones(20_000)
+    values[[99, 103]], values[101] = np.nan, 7.0
+    _, (ax,) = panels(1)
+    draw_line(ax, np.arange(20_000) * 0.005, values, color="#005c9e")
+    assert not [line for line in ax.lines if line.get_marker() == "."]
+    drawn = np.concatenate([path.vertices for path in ax.collections[0].get_paths()])
+    at = drawn[(drawn[:, 0] > 0.4999) & (drawn[:, 0] < 0.5101)]
+    assert at[:, 1].max() == 7.0
+    assert len(np.unique(at[:, 0])) == 2
+
+
 def test_tail_is_the_fraction_that_is_at_least_as_long() -> None:
     values = np.arange(1.0, 1001.0)
     x, fraction = tail_of(values)
