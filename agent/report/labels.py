@@ -17,6 +17,8 @@ LINE_IN = 0.15  # height of a name beside a panel
 LEADER_IN, SAMPLE_IN, GAP_IN = 0.1, 0.24, 0.04  # from the end of a curve to its sample, the sample, from it to the name
 LETTER_IN = 0.078
 NAME_SIZE = 8.0
+MARK_SIZE = 7.5
+MARK_LETTER_IN = 0.63 * MARK_SIZE / 72.0
 
 
 def room_in(names: Iterable[str]) -> float:
@@ -104,6 +106,14 @@ def _of_height(ax: Axes, y: float) -> float:
     return float(ax.transAxes.inverted().transform((0.0, pixel))[1])
 
 
+def shortened(label: str, letters: int) -> str:
+    """What of a label has room, whole words with "…" behind them where it is not all; its list has the whole text."""
+    if len(label) <= letters:
+        return label
+    kept = label[:letters].rpartition(" ")[0].rstrip(" ,;:") or label[: letters - 1]
+    return f"{kept[: letters - 1]}…"
+
+
 def mark_moments(figure: Figure, marks: Sequence[tuple[float, str]]) -> None:
     """Thin lines on every panel whose axis is the run's time; what they mean stands in the uppermost of them."""
     timed = [ax for ax in figure.axes if ax.get_gid() == TIMED]
@@ -115,6 +125,7 @@ def mark_moments(figure: Figure, marks: Sequence[tuple[float, str]]) -> None:
             ax.axvline(t, color="#444a50", linewidth=0.7, linestyle=(0, (1, 2)), zorder=1.5)
             if number == 0:
                 ax.annotate(
-                    label, (t, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -2), textcoords="offset points",
-                    ha="left", va="top", fontsize=7.5, rotation=90, color="#444a50",
+                    shortened(label, int(_size_in(ax)[1] / MARK_LETTER_IN)), (t, 1.0),
+                    xycoords=("data", "axes fraction"), xytext=(2, -2), textcoords="offset points",
+                    ha="left", va="top", fontsize=MARK_SIZE, rotation=90, color="#444a50",
                 )  # fmt: skip

@@ -24,7 +24,7 @@ from agent.report import figures, figures_more, figures_together
 from agent.report.gallery import pictures
 from agent.report.labels import LINE_IN, end_labels, mark_moments, room_in
 from agent.report.metrics import summarise
-from agent.report.plotting import DASHES, PANEL_IN, line, panels, time_axis
+from agent.report.plotting import DASHES, PANEL_IN, line, panels, save_png, time_axis
 from agent.report.prepared import prepare
 from agent.report.tables import lines, tables
 from agent.report.together import Thresholds, thresholds
@@ -311,6 +311,30 @@ def test_moments_are_marked_on_time_axes_alone_and_named_once() -> None:
     mark_moments(figure, [(5.0, "HOLD")])
     assert [[c.get_xdata()[0] for c in ax.get_lines()] for ax in axes] == [[5.0], [5.0], []]
     assert [[t.get_text() for t in ax.texts] for ax in axes] == [["HOLD"], [], []]
+
+
+@pytest.mark.parametrize("height_in", [1.4, 1.75, 2.1])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "holds: servo 4 of joint wrist_angle does not answer: no status packet within 12 ms, asked three times",
+        "the wall clock was set by +3600 s, MMMM WWWW MMMM",
+        "wrist_angle_of_an_arm_with_one_word_for_everything",
+        "HOLD",
+    ],
+)
+def test_a_long_warning_is_shortened_to_what_its_panel_has_room_for(height_in: float, text: str) -> None:
+    figure, axes = panels(2, height_in=height_in)
+    time_axis(axes, 25.0)
+    mark_moments(figure, [(5.0, text)])
+    (told,) = axes[0].texts
+    save_png(figure)
+    box, panel = told.get_window_extent(), axes[0].get_window_extent()
+    assert panel.y0 <= box.y0
+    assert box.y1 <= panel.y1
+    shown = told.get_text()
+    assert shown == text if len(text) < 10 else text.startswith(shown.removesuffix("…")) and len(shown) > 12
+    assert shown.endswith("…") is (shown != text)
 
 
 def test_a_part_of_the_run_has_the_moments_of_that_part() -> None:
