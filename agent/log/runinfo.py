@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from agent.config.schema.driver import DriverKind
 from agent.config.schema.fault import FaultKind
 from agent.host.info import RUN_FILE
 from drivers.interface import Refusal
@@ -90,6 +91,7 @@ class RunInfo:
     )  # what the simulated cell had against its file; empty: nothing
     befell: Mapping[str, str] = field(default_factory=dict)  # pushes, openings, faults of the simulated cell, in words
     struck_s: Mapping[str, float] = field(default_factory=dict)  # of arms that its faults let go limp or stop: when
+    emulated: bool = False  # the servos of its driver were, beside a plant
 
     @property
     def ticks(self) -> int:
@@ -145,6 +147,7 @@ def _typed(log: AnyLog, raw: dict[str, Any], notes: list[str]) -> RunInfo:
             arm: min(float(one["at_s"]) for one in faults if one["arm"] == arm)
             for arm in dict.fromkeys(one["arm"] for one in faults)
         },
+        emulated=raw.get("driver") == DriverKind.DYNAMIXEL.value and log.plant is not None,
     )
 
 

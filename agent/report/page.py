@@ -76,7 +76,8 @@ def _summary(results: Results) -> str:
     info = results.info
     arms = ", ".join(f"{arm.name} ({arm.model})" for arm in info.arms)
     law = str(info.controller.get("kind", "unknown"))
-    where = {"sim": "in simulation", "dynamixel": "on real servos"}.get(info.driver, f"with driver {info.driver}")
+    servos = f"on {'emulated' if info.emulated else 'real'} servos"
+    where = {"sim": "in simulation", "dynamixel": servos}.get(info.driver, f"with driver {info.driver}")
     if results.rehearsing:
         where = f"in a rehearsal of {', '.join(results.rehearsing)} with a simulated object"
     return (

@@ -401,6 +401,12 @@ def test_a_rehearsal_is_called_one_and_says_what_was_added_and_how_far_the_twin_
     assert "REHEARSAL" not in label(summarise(small_run()))
 
 
+def test_servos_are_called_emulated_where_a_plant_told_the_truth_beside_them() -> None:
+    assert "200 Hz on emulated servos, " in _summary(summarise(small_run(driver="dynamixel")))
+    assert "200 Hz on real servos, " in _summary(summarise(small_run(driver="dynamixel", plant=False)))
+    assert "200 Hz in simulation, " in _summary(summarise(small_run()))
+
+
 def test_a_log_that_ends_in_the_transient_has_no_errors_and_says_so() -> None:
     log = small_run()
     results = summarise(replace(log, agents={n: r[:50] for n, r in log.agents.items()}, plant=log.plant[:50]))
