@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
@@ -79,15 +80,16 @@ def compare_document(runs: Sequence[ComparedRun]) -> dict[str, Any]:
 def _compared(name: str, found: Sequence[Difference | None]) -> dict[str, Any]:
     known = next(d for d in found if d is not None)
     a, b = known.a, found[0]
+    first = "same" if math.isfinite(a) else "unknown"
     return {
         "name": name,
         "unit": known.unit,
         "a": a,
         "b": b.b if b else None,
         "relative": b.relative if b else None,
-        "change": b.change.name.lower() if b else "same",
+        "change": b.change.name.lower() if b else "unknown",
         "values": [a, *(d.b if d else None for d in found)],
-        "changes": ["same", *(d.change.name.lower() if d else "same" for d in found)],
+        "changes": [first, *(d.change.name.lower() if d else "unknown" for d in found)],
     }
 
 

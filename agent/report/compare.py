@@ -28,6 +28,7 @@ class Change(Enum):
     """What became of a figure from the first run to the second."""
 
     SAME = ""
+    UNKNOWN = "not known"  # of neither
     BETTER = "better"
     WORSE = "worse"
     DIFFERENT = "different"  # where neither way is better
@@ -44,6 +45,11 @@ class Difference:
     a: float
     b: float
     change: Change
+
+    @property
+    def differs(self) -> bool:
+        """Whether the runs do, as far as that is known."""
+        return self.change not in (Change.SAME, Change.UNKNOWN)
 
     @property
     def relative(self) -> float:
@@ -80,7 +86,7 @@ def comparison_table(
         table.add_column(heading, justify="left" if heading in ("figure", "") else "right", overflow="fold")
     colours = {Change.BETTER: "green", Change.WORSE: "red"}
     for d in differences:
-        if d.change is Change.SAME and d.name not in HEADLINE:
+        if not d.differs and d.name not in HEADLINE:
             continue
         style = colours.get(d.change, "")
         table.add_row(d.name, number(d.a, d.unit), number(d.b, d.unit), d.percent, d.change.value, style=style)
@@ -95,8 +101,9 @@ def _difference(name: str, a: Quantity | None, b: Quantity | None) -> Difference
 
 
 def _change(a: float, b: float, better: Better) -> Change:
-    if math.isnan(a) or math.isnan(b):
-        return Change.SAME if math.isnan(a) and math.isnan(b) else Change.APPEARED if math.isnan(a) else Change.GONE
+    known = math.isfinite(a), math.isfinite(b)
+    if not all(known):
+        return Change.GONE if known[0] else Change.APPEARED if known[1] else Change.UNKNOWN
     if math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=0.0):
         return Change.SAME
     if better is Better.NEITHER:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.atomic import write_atomically
-from agent.report.compare import Change, Difference, compare, label
+from agent.report.compare import Difference, compare, label
 from agent.report.numbers import number
 from agent.report.overlay import overlay
 from agent.report.page import document, figure_html, table_html
@@ -50,7 +50,7 @@ def render(runs: Sequence[ComparedRun]) -> str:
 
 
 def _differs(d: Difference) -> bool:
-    return d.change is not Change.SAME and d.name not in HEADLINE
+    return d.differs and d.name not in HEADLINE
 
 
 def _runs(runs: Sequence[ComparedRun]) -> Table:

@@ -226,7 +226,7 @@ def test_compare_holds_several_logs_against_the_first(two_logs: None) -> None:
     largest = by_name["max_position_error_m"]
     assert largest["changes"] == ["same", "better", "same"]
     assert largest["values"][0] == largest["values"][2] != largest["values"][1]
-    assert by_name["arms.left.load_share_realised"]["changes"] == ["same", "appeared", "same"]
+    assert by_name["arms.left.load_share_realised"]["changes"] == ["unknown", "appeared", "unknown"]
 
 
 def test_one_log_is_nothing_to_compare(two_logs: None) -> None:

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from agent.cli.documents import compare_document
 from agent.report.compare import Change, compare, comparison_table
 from agent.report.metrics import summarise
 from agent.report.results import Results
+from agent.report.shown import ComparedRun
 from tests.support.telemetry.synthetic_run import paper_run
 
 
@@ -25,7 +27,29 @@ def results(*, offset_m: float = 0.0, plant: bool = True, keep: int = 5000) -> R
 
 def test_a_run_compared_with_itself_has_no_difference() -> None:
     run = results()
-    assert {d.change for d in compare(run, run)} == {Change.SAME}
+    found = compare(run, run)
+    assert {d.change for d in found if math.isfinite(d.a)} == {Change.SAME}
+    assert not any(d.differs for d in found)
+
+
+def test_what_neither_run_measured_is_not_known_to_be_the_same() -> None:
+    a, b = results(plant=False), results(plant=False)
+    changes = {d.name: d for d in compare(a, b)}
+    share = changes["arms.left.load_share_realised"]
+    assert (share.change, share.differs, share.words) == (Change.UNKNOWN, False, "not known")
+    assert {d.change for d in changes.values()} == {Change.SAME, Change.UNKNOWN}
+    console = Console(width=140)
+    with console.capture() as captured:
+        console.print(comparison_table(a, b, compare(a, b)))
+    assert "load_share_realised" not in captured.get()
+    runs = [ComparedRun(Path(name), of, {}, None) for name, of in (("a", a), ("b", b), ("c", results()))]
+    figures = {figure["name"]: figure for figure in compare_document(runs)["figures"]}
+    one = figures["arms.left.load_share_realised"]
+    assert (one["change"], one["changes"]) == ("unknown", ["unknown", "unknown", "appeared"])
+    assert figures["by_plant.rms_position_error_m"]["changes"] == ["unknown", "unknown", "appeared"], (
+        "a part of C alone"
+    )
+    assert figures["late_cycles"]["changes"] == ["same", "same", "same"]
 
 
 def test_a_smaller_error_is_better_and_fewer_rows_are_worse() -> None:
@@ -98,4 +122,4 @@ def test_no_name_is_cut_on_a_narrow_terminal(width: int) -> None:
     cells = [line[: line.find("  ", 2)].strip() for line in captured.get().splitlines() if line.strip()]
     text = "".join(cells)
     for d in differences:
-        assert d.change is Change.SAME or d.name in text, d.name
+        assert not d.differs or d.name in text, d.name

@@ -292,7 +292,7 @@ def test_a_peak_alone_between_two_gaps_is_a_point(rows: int) -> None:
     _, (ax,) = panels(1)
     draw_line(ax, np.arange(rows) * 0.005, values, color="#005c9e")
     (points,) = [line for line in ax.lines if line.get_marker() == "."]
-    assert [tuple(xy) for xy in points.get_xydata()] == [(0.05, 7.0), (pytest.approx(0.155), 5.0)]  # type: ignore[arg-type]
+    assert [tuple(xy) for xy in points.get_xydata()] == [(0.05, 7.0), (pytest.approx(0.155), 5.0)]
     assert (points.get_linestyle(), points.get_color()) == ("None", "#005c9e")
     assert str(points.get_label()).startswith("_"), "it has no name beside the panel"
 
