@@ -74,7 +74,7 @@ def summarise_prepared(run: Prepared) -> Results:
     factor = _real_time_factor(run, missing)
     found, set_down = session_of(run.log)
     arms = {arm.name: _arm(arm, run) for arm in info.arms if arm.name in run.whole}
-    missing += pace_notes({name: arm.pace for name, arm in arms.items()})
+    missing += [*pace_notes({name: arm.pace for name, arm in arms.items()}), *_infinite(run)]
     return Results(
         info=info,
         complete=run.log.complete and all(not c.gaps for c in rows.values()),
@@ -105,6 +105,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
     e_eta, lyapunov, flags = column(rows, "e_eta"), column(rows, "lyapunov"), whole["flags"]
     signs = np.sign(e_eta[np.isfinite(e_eta) & (e_eta != 0.0)])
     took = {f: duration(whole, f) for f in DURATIONS}
+    sent = joint_columns(whole, "tau_sent", len(arm.joints))
     late = took["late_s"]
     return ArmResults(
         model=arm.model,
@@ -129,7 +130,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         lyapunov_start_J=_at(lyapunov, 0),
         lyapunov_end_J=_at(lyapunov, -1),
         sigma_min=float(np.nanmin(column(rows, "sigma_min"), initial=np.inf)),
-        load_max=most(np.abs(joint_columns(whole, "tau_sent", len(arm.joints))) / np.array(arm.tau_max_Nm)),
+        load_max=most(np.where(np.isinf(sent), NAN, np.abs(sent)) / np.array(arm.tau_max_Nm)),
         shift_max_m=largest(whole, "shift", slice(0, 3)),
         shift_max_rad=largest(whole, "shift", slice(3, 6)),
         friction_factor=_at(column(whole, "friction_factor"), -1),
@@ -137,6 +138,20 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         hil=hil_results(rows, arm.tau_max_Nm),
         grip=grip_results(whole, run.log.servos.get(arm.name)),
     )
+
+
+def _infinite(run: Prepared) -> list[str]:
+    """Torques that no servo can have been sent, by joint: of a damaged log."""
+    found = []
+    for arm in run.info.arms:
+        if arm.name in run.whole:
+            counts = np.sum(np.isinf(joint_columns(run.whole[arm.name], "tau_sent", len(arm.joints))), axis=0)
+            found += [
+                f"{count} torques sent to {joint} of {arm.name} are infinite and count in no figure"
+                for joint, count in zip(arm.joints, counts.tolist(), strict=True)
+                if count
+            ]
+    return found
 
 
 def _at(values: Array, index: int) -> float:
@@ -156,6 +171,7 @@ def _rms_velocity_error(seen: Table, part: slice, info: RunInfo) -> float:
 
 def _joint(arm: RunArm, j: int, whole: Table, rows: Table, period_s: float) -> JointResults:
     cmd, limited, sent = (component(whole, f, j) for f in ("tau_cmd", "tau_limited", "tau_sent"))
+    sent = np.where(np.isinf(sent), NAN, sent)
     peak = most(np.abs(sent - added_to(whole, j)))
     law = component(rows, "tau_sent", j) - added_to(rows, j)
     consecutive = np.diff(rows["sequence"]) == 1
@@ -252,6 +268,9 @@ def _real_time_factor(run: Prepared, missing: list[str]) -> float:
             return NAN
         elif utc_ns > 0:
             factors.append(span / (utc_ns * 1e-9))
+    if not factors:
+        why = "the rows' UTC does not go on" if spans else "no arm followed the trajectory for two cycles"
+        missing.append(f"the real-time factor is not known: {why}")
     return min(factors, default=NAN)
 
 

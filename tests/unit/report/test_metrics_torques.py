@@ -159,6 +159,33 @@ def test_percentiles_of_the_loop() -> None:
     assert spread.max_s == pytest.approx(399e-6)
 
 
+def test_a_torque_that_is_infinite_counts_in_no_figure_and_is_told() -> None:
+    log = small_run()
+    expected = summarise(log).arms["left"]
+    log.agents["left"]["tau_sent"][[7, 9], 1] = np.inf, -np.inf
+    log.agents["left"]["tau_sent"][11, 0] = np.nan
+    results = summarise(log)
+    left = results.arms["left"]
+    assert results.missing[-1] == "2 torques sent to elbow of left are infinite and count in no figure"
+    assert len(results.missing) == len(summarise(small_run()).missing) + 1, "NaN is of a cycle in which none was sent"
+    for name in ("peak_torque_Nm", "peak_torque_fraction", "at_limit_s"):
+        assert getattr(left.joints["elbow"], name) == getattr(expected.joints["elbow"], name), name
+    assert left.load_max == expected.load_max
+
+
+def test_a_real_time_factor_that_is_not_known_has_its_reason() -> None:
+    log = small_run()
+    for rows in log.agents.values():
+        rows["mode"][1:] = Mode.HOLD
+    results = summarise(log)
+    assert math.isnan(results.real_time_factor)
+    assert "the real-time factor is not known: no arm followed the trajectory for two cycles" in results.missing
+    log = small_run()
+    for rows in log.agents.values():
+        rows["utc_ns"] = 5
+    assert "the real-time factor is not known: the rows' UTC does not go on" in summarise(log).missing
+
+
 def test_real_time_factor_is_run_time_over_wall_time() -> None:
     assert summarise(small_run()).real_time_factor == pytest.approx(2.0)
 
