@@ -26,7 +26,7 @@ from agent.log.flat import FlatColumn, flat_columns, flatten
 from agent.log.read import ColumnLog, LogError
 from agent.log.run import MissingPackage, NoSuchField, member_names, members_of, on_one_time
 from agent.log.runinfo import read_info
-from agent.telemetry.row.event import Event
+from agent.log.when import trajectory_time
 from agent.telemetry.row.sample import Field
 
 COLUMNS_FILE: Final = "columns.csv"
@@ -34,7 +34,7 @@ EVENTS_FILE: Final = "events.csv"
 INTERNAL: Final = ("memory",)  # left out unless it is asked for: what an agent carries, a hundred numbers without names
 _LIST_COLUMNS: Final = ("table", "column", "unit", "field", "meaning")
 _MEMBER: Final = re.compile(r"[a-z][a-z0-9_]*")
-_EVENT_COLUMNS: Final = ("utc_ns", "source", "level", "text", "data")
+_EVENT_COLUMNS: Final = ("utc_ns", "t_s", "source", "level", "text", "data")
 
 
 class Format(StrEnum):
@@ -88,8 +88,9 @@ def export(log: ColumnLog, folder: Path, kind: Format, choice: Choice, *, replac
             file = _file_of(name, kind)
             _WRITERS[kind](draft.path / file, table, columns[name])
             rows[file] = len(table)
-        _write_csv(draft.path / EVENTS_FILE, _EVENT_COLUMNS, map(_event, log.events))
-        rows[EVENTS_FILE] = len(log.events)
+        events = _events(log, choice)
+        _write_csv(draft.path / EVENTS_FILE, _EVENT_COLUMNS, events)
+        rows[EVENTS_FILE] = len(events)
         lines = [(name, c.name, c.unit, c.field, c.doc) for name, own in columns.items() for c in own]
         _write_csv(draft.path / COLUMNS_FILE, _LIST_COLUMNS, lines)
         draft.keep(_listed(folder))
@@ -128,7 +129,7 @@ def _fields(log: ColumnLog, member: str, choice: Choice) -> list[Field]:
     if not choice.fields:
         return [f for f in own if f.name not in INTERNAL]
     known = {f.name: f for f in own}
-    wanted = [known[name] for name in choice.fields if name in known]
+    wanted = [known[name] for name in dict.fromkeys(choice.fields) if name in known]
     return wanted if not wanted or "t" in choice.fields else [known["t"], *wanted]
 
 
@@ -244,8 +245,16 @@ def _write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -
         writer.writerows(rows)
 
 
-def _event(event: Event) -> tuple[Any, ...]:
-    return event.utc_ns, event.source, event.level.name, event.text, json.dumps(event.data, ensure_ascii=False)
+def _events(log: ColumnLog, choice: Choice) -> list[tuple[Any, ...]]:
+    """The events of the chosen members and time; one whose time of the trajectory nobody knows is of any."""
+    found = []
+    for event in log.events:
+        t = trajectory_time(event, log.agents.get(event.source))
+        if (not choice.members or event.source in choice.members) and not (t < choice.from_s or t >= choice.to_s):
+            data = json.dumps(event.data, ensure_ascii=False)
+            when = None if math.isnan(t) else round(t, 9)
+            found.append((event.utc_ns, when, event.source, event.level.name, event.text, data))
+    return found
 
 
 def _write_table_parquet(path: Path, table: Table, columns: Sequence[FlatColumn]) -> None:

@@ -30,7 +30,10 @@ def trajectory_time(event: Event, table: Table | None) -> float:
     if table is None or not len(table) or type(stamp_ns) is not int:
         return math.nan
     last = table[len(table) - 1 : len(table)]
-    t, last_ns = float(last["t"][0]), int(last["stamp_ns"][0])
+    try:
+        t, last_ns = float(last["t"][0]), int(last["stamp_ns"][0])
+    except KeyError:  # rows of another release may lack one
+        return math.nan
     return t + (stamp_ns - last_ns) * 1e-9 if t > STARTED_S else math.nan
 
 

@@ -95,6 +95,38 @@ def test_events_and_the_meaning_of_columns_lie_beside_them(log: Path, tmp_path: 
     assert columns["meaning"][at] == "joint velocities the law used"
 
 
+def test_events_have_the_time_of_the_trajectory_and_are_those_of_the_arms_and_time_asked_for(tmp_path: Path) -> None:
+    told = [
+        Event(5, "left", Level.WARN, "early", {"t": 0.05}), Event(6, "left", Level.INFO, "begins", {"t": 0.1}),
+        Event(7, "right", Level.INFO, "other", {"t": 0.15}), Event(8, "left", Level.INFO, "by the wall alone"),
+        Event(9, "left", Level.INFO, "behind", {"t": 0.2}), Event(10, "recorder", Level.INFO, "of nobody's time"),
+        Event(11, "left", Level.INFO, "by its clock", {"stamp_ns": 0}),
+    ]  # fmt: skip
+    make_log(tmp_path / "run.mcap", events=told)
+
+    def texts(choice: Choice) -> list[str]:
+        out = tmp_path / str(len(list(tmp_path.iterdir())))
+        exported(tmp_path / "run.mcap", out, choice=choice)
+        return read_csv(out / "events.csv")["text"]
+
+    assert texts(Choice(from_s=0.1, to_s=0.2)) == ["begins", "other", "by the wall alone", "of nobody's time"]
+    assert texts(Choice(("left",), from_s=0.1, to_s=0.2)) == ["begins", "by the wall alone"]
+    assert texts(Choice(("plant", "right"))) == ["other"]
+    exported(tmp_path / "run.mcap", tmp_path / "all")
+    every = read_csv(tmp_path / "all" / "events.csv")
+    assert list(every)[:3] == ["utc_ns", "t_s", "source"]
+    first = 1e-9 * -int(make_rows("left", 1)["stamp_ns"][0]) + float(make_rows("left", 1)["t"][0])
+    assert every["t_s"][:-1] == ["0.05", "0.1", "0.15", "", "0.2", ""]
+    assert float(every["t_s"][-1]) == pytest.approx(first)
+
+
+def test_a_field_that_is_named_twice_is_one_column(log: Path, tmp_path: Path) -> None:
+    exported(log, tmp_path / "out", choice=Choice(("left",), ("q", "t", "q", "q")))
+    with (tmp_path / "out" / "left.csv").open(newline="", encoding="utf-8") as file:
+        head = next(csv.reader(file))
+    assert head == ["q_joint_1_rad", "q_joint_2_rad", "q_joint_3_rad", "t_s"]
+
+
 @pytest.mark.parametrize("kind", Format)
 def test_an_arm_that_is_called_as_a_file_beside_it_keeps_its_rows(tmp_path: Path, kind: Format) -> None:
     arms = dict.fromkeys(("events", "columns"), ("waist", "shoulder", "elbow"))
@@ -115,7 +147,7 @@ def test_an_arm_that_is_called_as_a_file_beside_it_keeps_its_rows(tmp_path: Path
 
 def test_arms_fields_and_times_can_be_chosen(log: Path, tmp_path: Path) -> None:
     done = exported(log, tmp_path / "out", choice=Choice(("right",), ("t", "memory"), 0.1, 0.2))
-    assert done.rows == {"right.csv": 20, "events.csv": 1}
+    assert done.rows == {"right.csv": 20, "events.csv": 0}
     table = read_csv(tmp_path / "out" / "right.csv")
     assert list(table)[:2] == ["t_s", "memory_0"]
     assert len(table) == 1 + MEMORY_LENGTH
