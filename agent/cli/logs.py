@@ -269,15 +269,12 @@ def recover(
     done = mend(log, force=force)
     for problem in done.problems:
         note(f"{log}: {problem}")
-    become = (
-        "repaired" if done.repaired else "finished, and damaged: left as it is" if done.damaged else "nothing to repair"
-    )
-    typer.echo(f"{log}: {become}, {done.messages} messages, read back")
+    typer.echo(f"{log}: {done.line}")
     if done.original is not None:
         typer.echo(f"{log}: the damaged original is kept as {done.original}")
     elif done.damaged:
         note(f"{log}: --force makes a new log of what can be read, and keeps the original beside it")
-    if done.damaged:
+    if done.damaged or not done.rows:
         raise typer.Exit(1)
 
 

@@ -21,11 +21,13 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from agent.atomic import is_full
 from agent.log.chunk import LIBRARY
 from agent.log.file import PROFILE, LogFileError, LogInTheWay
+from agent.log.layout import OURS
 from agent.log.locks import SUFFIX, alone_with, is_named, is_written
 from agent.log.messages import Messages
 from agent.log.read import RECOVERY, LogError
 from agent.log.scan import LogScan, library_of, open_file
 from agent.log.writer import BatchWriter
+from agent.telemetry.row.sample import AGENT_STATE
 
 KEPT: Final = "damaged"  # behind the name of a log: the original of one that was mended
 
@@ -40,6 +42,17 @@ class RecoverReport:
     problems: tuple[str, ...]
     damaged: bool = False  # something is wrong with it but that its end was cut
     original: Path | None = None  # where it is, when it was kept
+    rows: int = 0  # of arms, among the messages
+    program: str = ""  # that wrote it, by its head
+
+    @property
+    def line(self) -> str:
+        """For a person."""
+        left = "finished, and damaged: left as it is" if self.damaged else "nothing to repair"
+        become, whose = "repaired" if self.repaired else left, f" written by {self.program}" if self.program else ""
+        if not self.rows:
+            return f"{become}; no row of an arm is in it, {self.messages} messages{whose}"
+        return f"{become}, {self.messages} messages, read back"
 
 
 def recover(path: Path, stop: Callable[[], bool] = lambda: False, *, force: bool = False) -> RecoverReport:
@@ -100,7 +113,8 @@ def is_unfinished(path: Path) -> bool:
 
 
 def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool], *, force: bool) -> RecoverReport:
-    if library_of(file) is None:
+    program = library_of(file)
+    if program is None:
         raise LogError(
             f"{path} is no MCAP file", found=f"{file.seek(0, 2)} bytes", expected="a log", remedy="correct the path"
         )
@@ -113,7 +127,7 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool], *, force: boo
     problems = tuple(scan.problems)
     damaged = scan.finished or len(problems) > 1  # of a log that ends early without more, that alone is told
     if not problems or (scan.closed and not force):
-        return RecoverReport(path, False, seen.count, problems, damaged and bool(problems))
+        return RecoverReport(path, False, seen.count, problems, damaged and bool(problems), None, seen.rows, program)
     if scan.another_at is not None:
         at = scan.another_at
         raise LogError(
@@ -142,7 +156,7 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool], *, force: boo
             expected="room for a copy of it" if full else "a folder in which a copy of it can be written",
             remedy="make room" if full else "repair it as a user who may write there, or a copy of it elsewhere",
         ) from error  # fmt: skip
-    return RecoverReport(path, True, seen.count, problems, damaged, original)
+    return RecoverReport(path, True, seen.count, problems, damaged, original, seen.rows, program)
 
 
 def _keep(log: Path) -> Path:
@@ -183,14 +197,21 @@ class _Fingerprint:
     """Checksum of all messages by topic, and of what is beside them: equal exactly when the contents are."""
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count = self.rows = 0
+        self._row_schemas: set[int] = set()
+        self._row_channels: set[int] = set()
         self._topics: dict[int, str] = {}
         self._sums: dict[str, int] = {}
         self._attachments: dict[str, int] = {}
 
     def add(self, record: object) -> None:
-        if isinstance(record, Channel):
+        if isinstance(record, Schema):
+            if OURS.get(record.name) is AGENT_STATE:
+                self._row_schemas.add(record.id)
+        elif isinstance(record, Channel):
             self._topics[record.id] = record.topic
+            if record.schema_id in self._row_schemas:
+                self._row_channels.add(record.id)
         elif isinstance(record, Attachment):
             self._attachments[record.name] = zlib.crc32(record.data)
         elif isinstance(record, Messages):
@@ -199,6 +220,7 @@ class _Fingerprint:
                 topic = self._topics.get(run.channel)
                 if topic is not None:
                     self.count += run.number
+                    self.rows += run.number if run.channel in self._row_channels else 0
                     end = run.begin + run.stride * run.number
                     self._sums[topic] = zlib.crc32(view[run.begin : end], self._sums.get(topic, 0))
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
+from mcap.writer import Writer
 
 import configs
 from agent.atomic import WriteError
@@ -502,12 +503,32 @@ def test_a_recorder_does_not_write_into_what_is_no_file(
     assert [file.name for file in tmp_path.iterdir() if file.suffix == ".mcap"] == ["run.mcap"]
 
 
+def test_recover_says_that_a_file_has_nothing_of_a_run(tmp_path: Path) -> None:
+    other, start = tmp_path / "other.mcap", tmp_path / "start.mcap"
+    with other.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "somebody else")
+        schema = writer.register_schema("std_msgs/msg/Bool", "ros2msg", b"bool data")
+        channel = writer.register_channel("/on", "cdr", schema)
+        for k in range(3):
+            writer.add_message(channel, k, b"\x00\x01\x00\x00\x01", k)
+        writer.finish()
+    make_log(start, finish=False)
+    start.write_bytes(start.read_bytes()[:20])
+    done = coop("recover", other)
+    said = f"{other}: nothing to repair; no row of an arm is in it, 3 messages written by somebody else\n"
+    assert (done.code, done.out) == (1, said)
+    done = coop("recover", start)
+    assert (done.code, done.out) == (1, f"{start}: repaired; no row of an arm is in it, 0 messages\n")
+
+
 def test_recover_replaces_only_a_log_that_was_not_finished(tmp_path: Path) -> None:
     whole, broken = tmp_path / "whole.mcap", tmp_path / "broken.mcap"
     make_log(whole)
     make_log(broken, finish=False)
     before = whole.read_bytes()
-    assert "nothing to repair" in coop("recover", whole).out
+    done = coop("recover", whole)
+    assert (done.code, "nothing to repair" in done.out, "read back" in done.out) == (0, True, True)
     assert whole.read_bytes() == before
     assert "repaired" in coop("recover", broken).out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.mcap", "whole.mcap"]
