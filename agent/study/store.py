@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -139,7 +139,7 @@ class Store:
         if found != self._identity:
             raise StudyError(
                 f"study in {self.path.parent}",
-                found="runs of another cell, seed, duration, fault, version or source",
+                found=f"runs of {', '.join(_other(found, self._identity)) or 'another study'}",
                 expected="none, or those of this study, which then goes on",
                 remedy="name another --out, or give --force",
             )
@@ -176,6 +176,23 @@ class Store:
     def _close(self) -> None:
         with contextlib.suppress(OSError):  # of a line that the disk did not take: its writer was told
             self._file.close()
+
+
+def _other(found: Any, own: Mapping[str, Any]) -> Iterator[str]:
+    """What two studies differ in whose runs are not to be put together."""
+    if not isinstance(found, dict):
+        return
+    if found.get("cells") != own["cells"]:
+        yield "other cells, or another duration"
+    if found.get("seed") != own["seed"]:
+        yield f"seed {found.get('seed')}, not {own['seed']}"
+    if found.get("faults") != own["faults"]:
+        yield "other faults"
+    theirs = found.get("versions")
+    before: dict[str, Any] = theirs if isinstance(theirs, dict) else {}
+    for name in sorted({*before, *own["versions"]}):
+        if before.get(name) != own["versions"].get(name):
+            yield f"{name} {before.get(name)}, not {own['versions'].get(name)}"
 
 
 def _line(content: Mapping[str, Any]) -> bytes:

@@ -202,12 +202,20 @@ def test_who_keeps_a_study_locked_is_named(tmp_path: Path, plan: Plan) -> None:
         Store(tmp_path, plan)
 
 
-@pytest.mark.parametrize("other", [{"seed": 5}, {"overrides": [*SHORT, "tolerance.base_m=0.002"]}])
-def test_runs_of_another_study_are_not_mixed_in(tmp_path: Path, plan: Plan, other: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [
+        ({"seed": 5}, "found runs of seed 4, not 5, expected"),
+        ({"overrides": [*SHORT, "tolerance.base_m=0.002"]}, "found runs of other cells, or another duration, expected"),
+    ],
+)
+def test_runs_of_another_study_are_not_mixed_in_and_what_differs_is_told(
+    tmp_path: Path, plan: Plan, other: dict[str, object], told: str
+) -> None:
     with Store(tmp_path, plan):
         pass
     changed = load_plan(PAPER, **({"runs": 3, "seed": 4, "overrides": SHORT} | other))  # type: ignore[arg-type]
-    with pytest.raises(StudyError, match="another cell, seed"):
+    with pytest.raises(StudyError, match=told):
         Store(tmp_path, changed)
     with Store(tmp_path, replace(plan, runs=50)) as more:
         assert more.results == {}
@@ -221,7 +229,7 @@ def test_runs_of_another_version_or_source_are_not_mixed_in(tmp_path: Path, plan
     ours = f'"{key}": "{provenance()[key]}"'
     assert ours in path.read_text()
     path.write_text(path.read_text().replace(ours, f'"{key}": "1.0"'))
-    with pytest.raises(StudyError, match="fault, version or source"):
+    with pytest.raises(StudyError, match=rf"found runs of {key} 1\.0, not "):
         Store(tmp_path, plan)
 
 
@@ -268,6 +276,26 @@ def test_a_line_that_is_no_run_of_this_study_is_refused_and_kept(
     with pytest.raises(StudyError, match=rf"line 2 of .*runs\.jsonl: found {found}.*--out, or give --force"):
         Store(tmp_path, plan)
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"faults": [{"kind": "limp"}]}, "found runs of other faults, expected"),
+        ({"versions": {"numpy": "0.1"}}, "numpy 0.1, not "),
+        ({"versions": 5}, "sources None, not "),
+        ({"more": 1}, "found runs of another study, expected"),
+    ],
+)
+def test_of_a_study_of_other_versions_or_faults_it_is_told_which(
+    tmp_path: Path, plan: Plan, changes: dict[str, object], told: str
+) -> None:
+    with Store(tmp_path, plan):
+        pass
+    path = tmp_path / RUNS_FILE
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes) + "\n")
+    with pytest.raises(StudyError, match=told):
+        Store(tmp_path, plan)
 
 
 @pytest.mark.parametrize("left", [0, 1, 40, -1])

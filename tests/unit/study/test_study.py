@@ -743,7 +743,7 @@ def test_the_command_runs_a_cell_and_says_where_its_results_are(tmp_path: Path) 
     assert json.loads(again.out) == json.loads((out / "study.json").read_text())
     other = coop("study", path, "--runs", "2", "--seed", "1", "--workers", "1", "--out", out)
     assert other.code == 2
-    assert "another cell, seed" in other.err
+    assert "found runs of seed 0, not 1, expected none" in other.err
     forced = coop("study", path, "--runs", "1", "--seed", "1", "--workers", "1", "--out", out, "--force")
     assert forced.code == 0
     assert "1 runs" in forced.out
