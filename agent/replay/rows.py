@@ -27,6 +27,13 @@ class Window:
     from_s: float | None = None
     from_row: int | None = None
 
+    @property
+    def lacking(self) -> dict[str, str]:
+        """Where it has no row: what was found, and what to do about it."""
+        if self.from_row is None and self.from_s is None:
+            return {"found": "no row at all", "remedy": "name another arm with --arm, or take another log"}
+        return {"found": "no row from there on", "remedy": "begin earlier"}
+
     def of(self, rows: Table) -> Table:
         """The rows of the window."""
         if self.from_row is not None:

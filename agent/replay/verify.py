@@ -111,9 +111,8 @@ def verify(
     compared = Comparison(tuple(arms), tuple(notes))
     if not compared.rows:
         raise ReplayError(
-            f"nothing to replay in {log.path}", found="no row from there on", expected="rows of an arm",
-            remedy="begin earlier",
-        )  # fmt: skip
+            f"nothing to replay{f' of {arm}' if arm else ''} in {log.path}", expected="rows of an arm", **window.lacking
+        )
     return compared
 
 

@@ -77,10 +77,7 @@ def what_if(
         _refuse_other_joints(recorded.arm(name), own)
         rows = window.of(log.agents[name])
         if not len(rows):
-            raise ReplayError(
-                f"nothing to replay of {name} in {log.path}", found="no row from there on", expected="some",
-                remedy="begin earlier",
-            )  # fmt: skip
+            raise ReplayError(f"nothing to replay of {name} in {log.path}", expected="some", **window.lacking)
         same_law = recorded.file.controller.kind is changed.file.controller.kind
         found.append(_torques(build_agent(changed, own), own, rows, layout, keep_estimate=not same_law))
     return tuple(found)
