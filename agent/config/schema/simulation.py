@@ -107,7 +107,7 @@ class Simulation(Strict):
     substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
     """Integration steps per control cycle; 180 a second at least, where the arms are simulated."""
     observe_rate_hz: Annotated[float, Field(ge=0.01, le=2000.0)] = 50.0
-    """Rate of the truth in the log."""
+    """Rate of the truth in the log; in lockstep of every k-th cycle, k the nearest whole number."""
     friction_smooth_rad_per_s: Smoothing = 0.01
     """Speed over which simulated friction changes its sign."""
     object_mass_error: Annotated[float, Field(ge=-0.99, le=10.0)] = 0.0
