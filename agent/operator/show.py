@@ -136,6 +136,6 @@ def _host(document: Mapping[str, Any]) -> Line:
             whys = ", ".join(f"{count} {why}" for why, count in left_out.items())
             record += f"; LEFT OUT what does not belong here: {whys}"
     else:
-        record = "no recorder here"
+        record = f"no recorder in {' or '.join(recorder['looked_in'])}"
     good = recorder["alive"] and not recorder["left_out"]
     return Line(f"host {document['host']}", f"{told}; {record}", Tone.GOOD if good else Tone.HELD)

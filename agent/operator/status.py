@@ -35,7 +35,7 @@ def status(
     """All that `coop status --json` shows.  Raises ControlError when no arm of the cell is on this host."""
     names = [arm.name for arm in local_arms(cell, host)]
     heard = ask_arms(places(cell, names, (), host), Request(Verb.STATUS), timeout_s)
-    pasts = {name: _past(cell, name) for name in names}
+    pasts = {name: _past(cell, name, one) for name, one in heard.items()}
     return {
         "schema": SCHEMA,
         "cell": cell.file.name,
@@ -51,7 +51,7 @@ def status(
 def arms(cell: Cell, meant: Places, timeout_s: float = STATUS_TIMEOUT_S) -> list[dict[str, Any]]:
     """How these arms are, as in `status`; of one that answers without what only its ring says."""
     heard = ask_arms(meant, Request(Verb.STATUS), timeout_s)
-    pasts = {name: _past(cell, name) if isinstance(one, Silence) else None for name, one in heard.items()}
+    pasts = {name: _past(cell, name, one) if isinstance(one, Silence) else None for name, one in heard.items()}
     return _arms(cell, heard, pasts)
 
 
@@ -61,11 +61,18 @@ def _arms(cell: Cell, heard: Mapping[str, Heard], pasts: Mapping[str, Past | Non
     return [_arm(cell, name, one, pasts[name], ages_s[name]) for name, one in heard.items()]
 
 
-def _past(cell: Cell, arm: str) -> Past | None:
-    """What its ring says; None also of what is no arm of the cell, but a socket."""
+def _past(cell: Cell, arm: str, heard: Heard) -> Past | None:
+    """What its ring says; None also of what is no arm of the cell, but a socket.
+
+    Who answers says where its ring is; one that nobody writes any more is that of an earlier run.
+    """
     if arm not in {one.name for one in cell.arms}:
         return None
-    return look([ring for ring in ring_paths(cell.file.name, arm) if not barred(ring)], cell.file.rate_hz)
+    own = None if isinstance(heard, Silence) else heard.details.get("ring")
+    rings = ring_paths(cell.file.name, arm) if own is None else (Path(str(own)),)
+    past = look([ring for ring in rings if not barred(ring)], cell.file.rate_hz)
+    is_before = past is not None and not isinstance(heard, Silence) and not past.written_by_the_living
+    return None if is_before else past
 
 
 def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, age_s: float | None) -> dict[str, Any]:
@@ -102,8 +109,8 @@ def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, age_s: float | 
 
 
 def recorder(cell: str, folders: Sequence[Path]) -> dict[str, Any]:
-    """Whether a recorder of the cell has one of these folders, and the newest log there."""
-    locked = flocks()
+    """Whether a recorder of the cell has one of these folders, and the newest log there; elsewhere nobody looks."""
+    locked, looked_in = flocks(), [str(folder) for folder in folders]
     for folder in folders:
         try:
             status = lock_path(folder, cell).stat()
@@ -115,8 +122,11 @@ def recorder(cell: str, folders: Sequence[Path]) -> dict[str, Any]:
                 "folder": str(folder),
                 **_newest(folder),
                 "left_out": _left_out(note_path(folder, cell)),
+                "looked_in": looked_in,
             }
-    return {"alive": False, "folder": None, "log": None, "log_bytes": None, "left_out": {}}
+    return {
+        "alive": False, "folder": None, "log": None, "log_bytes": None, "left_out": {}, "looked_in": looked_in,
+    }  # fmt: skip
 
 
 def _left_out(note: Path) -> dict[str, int]:

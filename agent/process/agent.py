@@ -130,7 +130,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 fds, told = passed_on(driver)
                 guard.watch(
                     (ring.fileno(), texts.fileno(), *fds), tell.event, guard_vigil(cell, shared=options.shared),
-                    ring=str(options.ring), driver=told, session=options.whole,
+                    ring=str(options.ring.absolute()), driver=told, session=options.whole,
                 )  # fmt: skip
             servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
             runner = _runner(cell, options, law, driver, clock, ring, operator, notifier, guard, servos, tell, standing)
@@ -277,7 +277,7 @@ def _stand(
         standing.no_start = no_real_time(real.text)
     of_host = {
         "pid": os.getpid(), "real_time": asdict(real), "driver": options.driver.value, "session": options.whole,
-        "drops_on_stop": not options.hold,
+        "drops_on_stop": not options.hold, "ring": str(options.ring.absolute()),
     }  # fmt: skip
 
     def details() -> dict[str, Any]:

@@ -129,7 +129,7 @@ class Successor:
         )  # fmt: skip
         fixed = {
             "pid": os.getpid(), "driver": options.driver.value, "guard": HOLDS, "session": self._session,
-            "drops_on_stop": not options.hold,
+            "drops_on_stop": not options.hold, "ring": str(watched.ring),
         }  # fmt: skip
         standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
         heart.mode(begins)

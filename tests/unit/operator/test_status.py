@@ -55,13 +55,13 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def write_ring(
     stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: int = 0, finished: bool = False,
-    told: Sequence[tuple[Level, str]] = (),
+    told: Sequence[tuple[Level, str]] = (), at: Path | None = None,
 ) -> None:  # fmt: skip
     """500 rows of a loop that was 1 ms late once, long ago, and 0.2 ms once; closed with the stack.
 
     told: at its end.
     """
-    path = ring_path("paper", arm)
+    path = at or ring_path("paper", arm)
     texts = stack.enter_context(closing(TextWriter(path, arm)))
     texts.event(Event(NOW_NS - 5, arm, Level.WARN, "a servo is warm"))
     texts.event(Event(NOW_NS - 4, arm, Level.INFO, "torque on"))
@@ -139,7 +139,7 @@ def test_a_dead_arm_is_said_to_be_dead_with_what_its_ring_has(living: Arm, home:
         write_ring(stack, "right", mode=Mode.TRACK, age_ns=3_200_000_000)
     dead = Arm(home / "right.control", DEAD)
     with serving([dead]):
-        document = status(CELL, CLOCK, logs=())
+        document = status(CELL, CLOCK, logs=[Path("runs")])
     found = of(document, "right")
     assert (found["answers"], found["silence"], found["alive"]) == (False, "Connection refused", False)
     assert (found["mode"], found["last_row_age_s"], found["same_cell"]) == ("TRACK", pytest.approx(3.2), None)
@@ -152,7 +152,7 @@ def test_a_dead_arm_is_said_to_be_dead_with_what_its_ring_has(living: Arm, home:
         "SATURATED, OFF_TRACK, servo 2 (shoulder) error 0x04, 1 bus timeouts"
     )
     assert shown[1].rest.startswith("Connection refused; last TRACK, 3.2 s ago; 200 Hz")
-    assert shown[2].rest == "clock synchronised, error ≤ 0.25 ms; no recorder here"
+    assert shown[2].rest == "clock synchronised, error ≤ 0.25 ms; no recorder in runs"
 
 
 @pytest.mark.parametrize(("mode", "tone"), [(Mode.HOLD, Tone.HELD), (Mode.FAULT, Tone.BAD)])
@@ -210,6 +210,29 @@ def test_utc_tells_how_old_a_row_is_that_a_restart_of_the_host_or_lockstep_left(
     rows["stamp_ns"] += (rows["utc_ns"] - rows["stamp_ns"]) % 10**9
     assert replace(past, rows=rows).age_s(UP_NS + 10**15, NOW_NS) == pytest.approx(0.002)
     assert replace(past, rows=past.rows[:0]).age_s(UP_NS, NOW_NS) is None
+
+
+def test_nothing_of_an_earlier_run_is_shown_of_an_arm_that_answers_but_what_its_own_ring_says(home: Path) -> None:
+    """A ring that nobody writes any more is where the agent's would be, as after a run of another kind."""
+    arm = Arm(home / "left.control", Mode.HOLD, CELL.fingerprint)
+    with ExitStack() as stack:
+        write_ring(stack, "left", mode=Mode.TRACK, age_ns=829_000_000_000)
+    with serving([arm]):
+        before = of(status(CELL, CLOCK, logs=()), "left")
+        assert (before["mode"], before["timing"], before["servos"], before["last_row_age_s"]) == (
+            "HOLD", None, None, None,
+        )  # fmt: skip
+        assert arm.control is not None
+        elsewhere = home / "elsewhere.ring"
+        arm.control.standing.details = lambda: {"ring": str(elsewhere)}
+        assert of(status(CELL, CLOCK, logs=()), "left")["timing"] is None, "not there yet"
+        with ExitStack() as stack:
+            write_ring(stack, "left", mode=Mode.HOLD, age_ns=2_000_000, at=elsewhere)
+            own = of(status(CELL, CLOCK, logs=()), "left")
+        assert (own["last_row_age_s"], own["timing"]["rows"]) == (pytest.approx(0.002), 400)
+        over = of(status(CELL, CLOCK, logs=()), "left")
+        assert over["timing"] is None, "nobody writes it any more"
+    assert of(status(CELL, CLOCK, logs=()), "left")["mode"] == "TRACK", "who does not answer is known by its last ring"
 
 
 def test_an_arm_that_hangs_is_not_dead_and_one_without_a_trace_is_neither(home: Path) -> None:
@@ -314,22 +337,24 @@ def test_an_arm_that_answers_says_whether_it_is_one_of_a_session_and_lets_go_at_
 def test_a_recorder_at_work_is_found_by_its_lock_which_nobody_takes(tmp_path: Path) -> None:
     (tmp_path / "one.mcap").write_bytes(b"x" * 10)
     (tmp_path / "removed.mcap").symlink_to("nowhere")  # as one that is gone by the time it is looked at
-    nothing = {"alive": False, "folder": None, "log": None, "log_bytes": None, "left_out": {}}
+    places = [tmp_path / "none", tmp_path]
+    looked_in = {"looked_in": [str(place) for place in places]}
+    nothing = {"alive": False, "folder": None, "log": None, "log_bytes": None, "left_out": {}, **looked_in}
     with only_recorder(tmp_path, "paper") as note:
-        found = recorder("paper", [tmp_path / "none", tmp_path])
-        known = {"alive": True, "folder": str(tmp_path), "log": "one.mcap", "log_bytes": 10}
+        found = recorder("paper", places)
+        known = {"alive": True, "folder": str(tmp_path), "log": "one.mcap", "log_bytes": 10, **looked_in}
         assert found == {**known, "left_out": {}}
         note(b'{"left_out": {"unknown_key": 12}}')
         note(b'{"left_out": {"wrong_order": 3}}')
-        assert recorder("paper", [tmp_path]) == {**known, "left_out": {"wrong_order": 3}}
+        assert recorder("paper", places) == {**known, "left_out": {"wrong_order": 3}}
         for garbage in (b"{", b"[]", b'{"left_out": 1}', b'{"left_out": {"a": []}}', b"\xff"):
             note(garbage)
-            assert recorder("paper", [tmp_path]) == {**known, "left_out": {}}
+            assert recorder("paper", places) == {**known, "left_out": {}}
         note(b'{"left_out": {"wrong_order": 3}}')
-        assert recorder("other", [tmp_path]) == nothing
-    assert recorder("paper", [tmp_path]) == nothing, "the lock file stays, its lock does not"
+        assert recorder("other", places) == nothing
+    assert recorder("paper", places) == nothing, "the lock file stays, its lock does not"
     with only_recorder(tmp_path, "paper"):
-        assert recorder("paper", [tmp_path])["left_out"] == {}, "of the recorder before"
+        assert recorder("paper", places)["left_out"] == {}, "of the recorder before"
 
 
 def test_the_command_shows_a_line_per_arm_without_colours_and_one_document(living: Arm, tmp_path: Path) -> None:
@@ -345,7 +370,9 @@ def test_the_command_shows_a_line_per_arm_without_colours_and_one_document(livin
 
 
 def test_what_the_recorder_left_out_is_said_and_is_not_good(monkeypatch: pytest.MonkeyPatch) -> None:
-    quiet: dict[str, Any] = {"alive": True, "folder": "runs", "log": None, "log_bytes": None, "left_out": {}}
+    quiet: dict[str, Any] = {
+        "alive": True, "folder": "runs", "log": None, "log_bytes": None, "left_out": {}, "looked_in": ["runs"],
+    }  # fmt: skip
     for left_out, tone, said in (
         ({}, Tone.GOOD, ""),
         (

@@ -86,7 +86,9 @@ def test_a_folder_that_somebody_keeps_is_not_waited_for_while_the_servos_wait(
 def test_a_guard_in_the_place_of_an_agent_says_whether_a_stop_ends_its_hold(tmp_path: Path, *, hold: bool) -> None:
     standing = Standing("left")
     control: Any = SimpleNamespace(standing=standing)
-    watched: Any = SimpleNamespace(texts=None, writer=SimpleNamespace(row=defaultdict(float), written=0))
+    watched: Any = SimpleNamespace(
+        texts=None, writer=SimpleNamespace(row=defaultdict(float), written=0), ring=Path("/run/left.ring")
+    )
     tell: Any = SimpleNamespace(event=None, trouble=None)
     clock: Any = SimpleNamespace(utc_offset_ns=0)
     made(tmp_path, hold=hold)._around(
@@ -101,6 +103,7 @@ def test_a_guard_in_the_place_of_an_agent_says_whether_a_stop_ends_its_hold(tmp_
         ExitStack(),  # type: ignore[arg-type]
     )
     assert standing.details()["drops_on_stop"] is not hold
+    assert standing.details()["ring"] == "/run/left.ring", "that of its agent, where its rows go on"
 
 
 def test_a_hold_that_could_not_listen_tries_again_and_hears_words_then(tmp_path: Path) -> None:
@@ -108,7 +111,7 @@ def test_a_hold_that_could_not_listen_tries_again_and_hears_words_then(tmp_path:
     told, standing, guard = list[str](), Standing("left", Mode.HOLD, "the agent has died"), made(tmp_path)
     tell: Any = SimpleNamespace(event=lambda _, text: told.append(text), trouble=None)
     watched: Any = SimpleNamespace(
-        texts=None, writer=SimpleNamespace(row=defaultdict(float), written=0), inherit=lambda _: None
+        texts=None, writer=SimpleNamespace(row=defaultdict(float), written=0), inherit=lambda _: None, ring=Path()
     )
     clock: Any = SimpleNamespace(utc_offset_ns=0, now_ns=lambda: 0)
     black_box: Any = SimpleNamespace(beat=lambda: None)

@@ -482,6 +482,7 @@ def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowe
         assert standing.details()["tick"]["cycles"] == 0
         assert standing.details()["no_start"] == standing.no_start
         assert standing.details()["drops_on_stop"] is False
+        assert standing.details()["ring"] == str(tmp_path), "where `coop status` reads what it does"
     assert standing.no_start is None or "--allow-no-realtime" in standing.no_start["remedy"]
     ((text, data),) = told
     assert text == f"real time: {priority or 'SCHED_OTHER'} 0, 0 MB of memory locked; latency: not tested"
