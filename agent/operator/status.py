@@ -20,10 +20,12 @@ from agent.operator.ask import Heard, Silence, ask_arms
 from agent.operator.local import Places, host_name, local_arms, places
 from agent.operator.message import Request
 from agent.operator.past import Past, look
+from agent.operator.show import HUNG, silent
 from agent.operator.table import Verb
 
 STATUS_TIMEOUT_S = 0.5  # an agent answers within a cycle
 SCHEMA = 1
+AGAIN, AGAIN_S = 5, 0.1
 NOTE_BYTES_MAX = 1 << 16
 LOG_FOLDERS = (Path("/var/lib/coop/runs"), Path("runs"))  # of the shipped unit, and of `coop record`
 
@@ -34,8 +36,7 @@ def status(
 ) -> dict[str, Any]:  # fmt: skip
     """All that `coop status --json` shows.  Raises ControlError when no arm of the cell is on this host."""
     names = [arm.name for arm in local_arms(cell, host)]
-    heard = ask_arms(places(cell, names, (), host), Request(Verb.STATUS), timeout_s)
-    pasts = {name: _past(cell, name, one) for name, one in heard.items()}
+    found = arms(cell, places(cell, names, (), host), timeout_s, whole=True)
     return {
         "schema": SCHEMA,
         "cell": cell.file.name,
@@ -44,18 +45,35 @@ def status(
         "utc_ns": time.time_ns(),
         "clock": {"synchronised": clock.synchronised, "max_error_s": _finite(clock.max_error_s)},
         "recorder": recorder(cell.file.name, logs),
-        "arms": _arms(cell, heard, pasts),
+        "arms": found,
     }
 
 
-def arms(cell: Cell, meant: Places, timeout_s: float = STATUS_TIMEOUT_S) -> list[dict[str, Any]]:
-    """How these arms are, as in `status`; of one that answers without what only its ring says."""
+def arms(
+    cell: Cell, meant: Places, timeout_s: float = STATUS_TIMEOUT_S, *, whole: bool = False
+) -> list[dict[str, Any]]:
+    """How these arms are, as in `status`; whole: with what only its ring says of one that answers.
+
+    Who hangs by one look is asked again: its guard may be about to listen in the place of an agent that has ended.
+    """
+    found = {arm["arm"]: arm for arm in _asked(cell, meant, timeout_s, whole=whole)}
+    for _ in range(AGAIN):
+        hung = {name: meant[name] for name, arm in found.items() if _hangs(arm)}
+        if not hung:
+            break
+        time.sleep(AGAIN_S)
+        found |= {arm["arm"]: arm for arm in _asked(cell, hung, AGAIN_S, whole=whole) if not _hangs(arm)}
+    return list(found.values())
+
+
+def _hangs(arm: Mapping[str, Any]) -> bool:
+    return not arm["answers"] and silent(arm)[0] == HUNG
+
+
+def _asked(cell: Cell, meant: Places, timeout_s: float, *, whole: bool) -> list[dict[str, Any]]:
     heard = ask_arms(meant, Request(Verb.STATUS), timeout_s)
-    pasts = {name: _past(cell, name, one) if isinstance(one, Silence) else None for name, one in heard.items()}
-    return _arms(cell, heard, pasts)
-
-
-def _arms(cell: Cell, heard: Mapping[str, Heard], pasts: Mapping[str, Past | None]) -> list[dict[str, Any]]:
+    wanted = {name: whole or isinstance(one, Silence) for name, one in heard.items()}
+    pasts = {name: _past(cell, name, one) if wanted[name] else None for name, one in heard.items()}
     utc_ns, monotonic_ns = time.time_ns(), time.monotonic_ns()
     ages_s = {name: past.age_s(monotonic_ns, utc_ns) if past else None for name, past in pasts.items()}
     return [_arm(cell, name, one, pasts[name], ages_s[name]) for name, one in heard.items()]

@@ -20,6 +20,8 @@ from agent.host.paths import ring_path
 from agent.log.parts import only_recorder
 from agent.modes import Mode
 from agent.operator import status as status_module
+from agent.operator.ask import Heard, Silence
+from agent.operator.local import Places
 from agent.operator.past import look
 from agent.operator.show import Tone, lines
 from agent.operator.status import recorder, status
@@ -46,7 +48,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("agent.host.paths.SERVICES_DIR", tmp_path / "services")
-    stands = SimpleNamespace(time_ns=lambda: NOW_NS, monotonic_ns=lambda: UP_NS)
+    stands = SimpleNamespace(time_ns=lambda: NOW_NS, monotonic_ns=lambda: UP_NS, sleep=lambda _: None)
     monkeypatch.setattr(status_module, "time", stands)
     folder = tmp_path / "coop" / "paper"
     folder.mkdir(parents=True)
@@ -244,6 +246,21 @@ def test_an_arm_that_hangs_is_not_dead_and_one_without_a_trace_is_neither(home: 
     assert (of(document, "left")["alive"], of(document, "left")["answers"]) == (True, False)
     assert [line.head.split()[-1] for line in lines(document)[:2]] == ["HUNG", "NONE"]
     assert of(document, "right")["timing"] is None
+
+
+@pytest.mark.parametrize("looks", [1, 5, 6])
+def test_an_arm_hangs_that_stays_silent_and_not_while_its_guard_takes_it_over(
+    living: Arm, monkeypatch: pytest.MonkeyPatch, looks: int
+) -> None:
+    """Its agent resets the connection as it ends; the guard writes its ring, and listens a moment later."""
+    left, asked = [Silence("Connection reset by peer", hung=True)] * looks, status_module.ask_arms
+
+    def heard(meant: Places, *given: Any) -> dict[str, Heard]:
+        return {**asked(meant, *given), **({"left": left.pop()} if left and "left" in meant else {})}
+
+    monkeypatch.setattr(status_module, "ask_arms", heard)
+    (shown, *_) = lines(status(CELL, CLOCK, logs=()))
+    assert shown.head.split()[-1] == ("HUNG" if looks > 5 else "HOLD")
 
 
 def test_an_agent_that_has_made_no_cycle_yet_is_starting_and_nothing_of_the_one_before_is_shown(home: Path) -> None:
