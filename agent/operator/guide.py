@@ -24,7 +24,8 @@ class Step:
     stop: str  # how it is stopped, and what leads on from there; empty where nothing moves
 
 
-_STANDS = "coop stop CELL: it stands where it is and opens its gripper; then coop park CELL or coop approach CELL"
+_STANDS_AND_GOES_BACK = "coop stop CELL: it stands where it is and opens its gripper; then coop park CELL"
+_STANDS = f"{_STANDS_AND_GOES_BACK} or coop approach CELL"
 _HOLDS = "coop stop CELL: the arms hold the object; then coop lower CELL"
 
 STEPS: Final[Mapping[Mode, Step]] = MappingProxyType({
@@ -187,7 +188,8 @@ def _alike(way: _Way, mode: Mode, back: bool, ends: _End) -> list[str]:
     """What to say to arms that are equally far; back: there will be no carry."""
     step = way.steps[mode]
     do = way.going_back.get(mode, step.do) if back else step.do
-    return [f"next: {do}", *([f"to stop: {ends.of(step.stop)}"] if step.stop else [])]
+    stop = _STANDS_AND_GOES_BACK if back and step.stop is _STANDS else step.stop
+    return [f"next: {do}", *([f"to stop: {ends.of(stop)}"] if stop else [])]
 
 
 def _apart(way: _Way, modes: Mapping[str, Mode], back: bool, gone: Mapping[str, str], ends: _End) -> list[str]:

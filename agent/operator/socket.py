@@ -158,6 +158,8 @@ class ControlSocket:
                 f"arm {self.standing.arm} in {mode.name}: {alone}", "a guard that watches it",
                 "see the guard's log and have it watch again, or `coop release` and start both anew",
             )  # fmt: skip
+        if request.verb is Verb.APPROACH and self.standing.no_start is not None:  # it would grip, and then not carry
+            return self._refused(**self.standing.no_start)
         event = Event.STARTED if request.verb is Verb.START else EVENT_OF.get(request.verb)
         not_yet = ask(event) if ask is not None and event is not None else ""
         if not_yet:
@@ -169,8 +171,6 @@ class ControlSocket:
                 f"cell {request.fingerprint[:12]}", f"cell {self._fingerprint[:12]}",
                 "give the file that its agent was started with; stop and release need none",
             )  # fmt: skip
-        if request.verb is Verb.APPROACH and self.standing.no_start is not None:  # it would grip, and then not carry
-            return self._refused(**self.standing.no_start)
         if request.verb is Verb.START:
             refused = self._no_start(request)
             if refused is not None:

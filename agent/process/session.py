@@ -11,12 +11,17 @@ from agent.operator.socket import Standing
 from agent.session import SessionLoop, StartBound, way_back
 from drivers.interface import Driver, Gripper
 
+LEADS_BACK = {
+    "found": "the guard holds the arm in its agent's place and leads it back alone", "expected": "its agent",
+    "remedy": "lead it back, `coop release` it, then start its guard and its agent anew",
+}  # fmt: skip
+
 
 def led_back(cell: Cell, arm: Arm, agent: Agent, driver: Driver, begun: Beginning, standing: Standing) -> SessionLoop:
     """The session as a guard goes on with it: the grip is kept, and the words that lead back are taken."""
     session = session_loop(cell, arm, agent, driver, leads_back_only=True)
     session.resume(begun.mode)
-    standing.session, standing.mode = session.not_yet, begun.mode
+    standing.session, standing.mode, standing.no_start = session.not_yet, begun.mode, LEADS_BACK
     standing.reason = way_back(begun.mode, begun.reason)
     return session
 

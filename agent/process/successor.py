@@ -131,7 +131,7 @@ class Successor:
             "pid": os.getpid(), "driver": options.driver.value, "guard": HOLDS, "session": self._session,
             "drops_on_stop": not options.hold, "ring": str(watched.ring),
         }  # fmt: skip
-        standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
+        standing.details = lambda: {**fixed, "no_start": standing.no_start, "tick": tick_of(watched.writer)}
         heart.mode(begins)
         again = Every(LISTEN_S, rate_hz)
 

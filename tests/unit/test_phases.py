@@ -14,6 +14,7 @@ import configs
 from agent.config.cell import load_cell
 from agent.modes import Mode
 from agent.operator.table import Verb
+from agent.process.session import LEADS_BACK
 from agent.replay.chain import Chain
 from agent.safety import Flag
 from drivers.interface import JointState
@@ -196,6 +197,7 @@ def test_a_guard_of_an_arm_that_holds_nothing_stands_without_the_object_s_weight
     assert np.abs(halted["tau_object"][:, :n]).max() == 0.0
     assert np.ptp(halted["q_measured"][5:, :n], axis=0).max() < 0.06
     assert left.refused == ["approach: the guard holds the arm in its agent's place and leads it back alone"]
+    assert left.standing.no_start == LEADS_BACK, "for the operator, who is told what works in its place"
 
 
 @pytest.mark.long  # `make phases` does it in every phase; that the other holds: tests/unit/faults/test_bench.py

@@ -29,6 +29,7 @@ from agent.operator.error import ControlError
 from agent.operator.message import Reply, Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
+from agent.process.session import LEADS_BACK
 
 FINGERPRINT = "ab" * 32
 NOW_NS = 1_000_000_000_000
@@ -267,6 +268,15 @@ def test_a_word_of_a_session_counts_in_the_modes_of_its_table(
     assert answer_to(control, path, {"verb": "grasp", "fingerprint": FINGERPRINT})["expected"] == "another mode"
     assert answer_to(control, path, {"verb": "status"})["ok"] is True
     assert (asked, asked_for(control)) == ([Event.APPROACH], NOTHING)
+
+
+def test_an_arm_that_its_guard_leads_back_names_what_works_and_not_to_say_it_again(
+    control: ControlSocket, path: Path
+) -> None:
+    control.standing.mode, control.standing.no_start = Mode.REST, LEADS_BACK
+    control.standing.session = lambda _: "the guard holds the arm in its agent's place and leads it back alone"
+    answer = answer_to(control, path, {"verb": "approach", "fingerprint": FINGERPRINT})
+    assert answer["remedy"] == "lead it back, `coop release` it, then start its guard and its agent anew"
 
 
 def test_an_arm_that_would_refuse_the_start_refuses_to_go_to_its_grasp(control: ControlSocket, path: Path) -> None:

@@ -10,7 +10,8 @@ import pytest
 from agent.modes import Event, Mode
 from agent.operator.guide import STEPS, STEPS_HELD, lines, missing
 from agent.operator.table import EVENT_OF, MODES, Verb, effect
-from agent.session import WORDS
+from agent.process.session import LEADS_BACK
+from agent.session import _BACK, WORDS
 from agent.session_modes import next_in_session
 
 
@@ -200,6 +201,18 @@ def test_arms_that_would_refuse_the_start_are_led_back_and_say_why() -> None:
     assert apart[-2:] == [
         "next for left: coop park c --arm left", "next for right: coop release c --arm right ends it"
     ]  # fmt: skip
+
+
+LED_BACK = {"no_start": LEADS_BACK}
+
+
+@pytest.mark.parametrize("mode", [*_BACK, Mode.LOWER, Mode.RELEASE, Mode.PARK])
+def test_every_word_that_is_told_of_an_arm_whose_guard_leads_it_back_is_taken_by_it(mode: Mode) -> None:
+    said = lines([arm("left", mode.name, **LED_BACK)], "CELL")
+    assert "start its guard and its agent anew" in said[0]
+    words = set(told("\n".join(said)))
+    assert words <= {Verb.STOP, Verb.PARK, Verb.LOWER, Verb.RELEASE}
+    assert mode is not Mode.REST or words == {Verb.RELEASE}
 
 
 def test_sockets_that_are_given_are_named_as_such() -> None:
