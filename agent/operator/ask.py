@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import selectors
 import socket
 import time
@@ -26,6 +25,7 @@ class Silence:
 
     found: str
     hung: bool = False  # somebody has the socket open
+    nowhere: bool = False  # there is no socket at any of the places of the arm
 
 
 Heard = Reply | Silence
@@ -40,16 +40,20 @@ def ask_arms(
     """Send one request to the agent of every arm, by each of the places where it may listen; what each arm answers.
 
     Of several places the gravest of those counts where somebody is: who hangs before who refuses, then who says yes.
+    Where nobody is at any, the places are named.
     look: as of `ask_sockets`.
     """
     places = {arm: list(paths) for arm, paths in arms.items()}
     heard = ask_sockets([path for paths in places.values() for path in paths], request, timeout_s, look)
-    return {arm: _telling([heard[path] for path in paths]) for arm, paths in places.items()}
+    return {arm: _telling({path: heard[path] for path in paths}) for arm, paths in places.items()}
 
 
-def _telling(heard: list[Heard]) -> Heard:
+def _telling(heard: Mapping[Path, Heard]) -> Heard:
     """The gravest of what was heard of one arm where somebody is, or what was found where nobody is."""
-    return min(heard, key=_rank, default=Silence("no socket"))
+    gravest = min(heard.values(), key=_rank, default=Silence("no socket"))
+    if isinstance(gravest, Silence) and gravest.nowhere:
+        return Silence(f"nothing at {' or '.join(map(str, heard))}", nowhere=True)
+    return gravest
 
 
 def _rank(heard: Heard) -> int:
@@ -57,7 +61,7 @@ def _rank(heard: Heard) -> int:
         return 2 if heard.ok else 1
     if heard.hung:
         return 0
-    return 4 if heard.found == os.strerror(errno.ENOENT) else 3
+    return 4 if heard.nowhere else 3
 
 
 def ask_sockets(
@@ -112,7 +116,8 @@ def _sent(
         own.close()
         return False
     except OSError as error:
-        heard[path] = Silence(error.strerror or str(error))  # a path that is too long has no strerror
+        found = error.strerror or str(error)  # a path that is too long has no strerror
+        heard[path] = Silence(found, nowhere=error.errno == errno.ENOENT)
         return True
     waiting[path] = own
     selector.register(own, selectors.EVENT_READ, path)

@@ -86,7 +86,7 @@ class _Way:
     going_on: Mapping[Mode, str]  # beside arms that are elsewhere
     going_back: Mapping[Mode, str]  # beside one that is gone, does not obey, or cannot be started
     set_down: str  # behind a stop, where one moves what another holds
-    begin: str  # an arm that was never there, or has ended in order
+    begin: str  # an arm that has ended in order
     lost: str  # one that died where it was; with places for what to support, and for what the others do first
     others_first: str
 
@@ -128,6 +128,10 @@ _EMPTY = frozenset({Mode.REST, Mode.APPROACH, Mode.PARK, Mode.HALT})  # it holds
 _STAYS = frozenset({Mode.READY, Mode.HOLD})
 _DEAF = "{}: no word reaches it; its log says why, then end its process"
 _WAIT = "wait until it answers"
+_NOT_SEEN = (
+    "look at it: its agent may run as another user, with another XDG_RUNTIME_DIR or another name of the cell, and hears "
+    "words that are said from there; where none runs, start its agent"
+)
 _STOPS = "what moves stops, what holds the object goes on holding it"
 _ALL_LET_GO = "coop stop CELL: the arms stop for a moment, then let go and end"
 
@@ -147,6 +151,10 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
         name: str = arm["arm"]
         head, why = (arm["mode"], "") if arm["answers"] else silent(arm)
         mode = Mode.__members__.get(head)
+        if head == NONE:
+            said.append(f"{name}: NOT SEEN from here: {why}")
+            silenced[name] = head, None
+            continue
         if mode is None:
             last = f"last {arm['mode']}" if arm["mode"] else ""
             said.append(f"{name}: " + "; ".join([head, *filter(None, (why, last))]))
@@ -221,7 +229,9 @@ def _begin_again(way: _Way, head: str, last: str | None, *, others: bool) -> str
     support = _to_support(last)
     if head == HUNG:
         return _DEAF.format(support)
-    if head == NONE or (head == ENDED and last != Mode.FAULT.name):
+    if head == NONE:
+        return _NOT_SEEN
+    if head == ENDED and last != Mode.FAULT.name:
         return way.begin
     return way.lost.format(support, way.others_first if others else "")
 

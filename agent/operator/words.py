@@ -18,7 +18,7 @@ from types import MappingProxyType
 from agent.config.cell import Cell
 from agent.host.clock import ClockState
 from agent.modes import Mode
-from agent.operator.ask import REPLY_TIMEOUT_S, Heard, ask_arms
+from agent.operator.ask import REPLY_TIMEOUT_S, Heard, Silence, ask_arms
 from agent.operator.error import ControlError, InstantError
 from agent.operator.local import Places, has_other_hosts, judge_clock, named, places
 from agent.operator.message import Reply, Request
@@ -31,6 +31,7 @@ FORGET_S = 0.25  # for answers to what takes an instant back that somebody has b
 DAY, MIDNIGHT = timedelta(days=1), timedelta(hours=1)
 
 _SEE = "see `coop status` and their logs; stop reaches all who answer"
+_ELSEWHERE = "agents of another user, XDG_RUNTIME_DIR or cell name listen elsewhere"
 _SOME = "name those that are meant with --arm; "
 _REACH_WHO_LIVES = (Verb.STOP, Verb.RELEASE)
 _NEEDED: Mapping[Verb, str] = MappingProxyType({
@@ -132,7 +133,7 @@ def _ask_first(arms: Places, request: Request, timeout_s: float, look: Callable[
             _asked(agreed, Request(Verb.CANCEL, prepare=True, token=request.token), timeout_s, look)
         raise ControlError(
             request.verb.value, found=named(refused), expected=_NEEDED[request.verb],
-            remedy=f"no arm has been told; {'' if request.verb is Verb.START else _SOME}{_SEE}",
+            remedy=f"no arm has been told; {'' if request.verb is Verb.START else _SOME}{_SEE}{_elsewhere(heard)}",
         )  # fmt: skip
 
 
@@ -159,6 +160,11 @@ def _told(heard: Heard) -> str:
     refusal = heard.refusal
     found = refusal["found"].removeprefix(f"arm {heard.arm} in {heard.mode}: ")  # who, and in which mode, is said here
     return f"refuses in {heard.mode}: {found}, expected {refusal['expected']}, {refusal['remedy']}"
+
+
+def _elsewhere(heard: Mapping[str, Heard]) -> str:
+    """Where else one may be that is nowhere here."""
+    return f"; {_ELSEWHERE}" if any(isinstance(one, Silence) and one.nowhere for one in heard.values()) else ""
 
 
 def _outcome(heard: Mapping[str, Heard]) -> str:
@@ -210,7 +216,7 @@ def _tell_all(arms: Places, request: Request, timeout_s: float) -> str:
         done = _done({arm: one for arm, one in heard.items() if arm not in refused}, verb)
         raise ControlError(
             verb.value, found=named(refused), expected="every arm of this host to take it",
-            remedy=f"done: {done or 'none'}; for the others see `coop status` and their logs",
+            remedy=f"done: {done or 'none'}; for the others see `coop status` and their logs{_elsewhere(heard)}",
         )  # fmt: skip
     return _done(heard, verb)
 

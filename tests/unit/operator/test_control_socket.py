@@ -730,7 +730,7 @@ def test_a_refusal_is_heard_with_what_the_agent_says(path: Path) -> None:
 
 
 def test_no_agent_is_silence_with_its_reason(tmp_path: Path) -> None:
-    assert one_answer(tmp_path / "none", Request(Verb.STOP)) == Silence("No such file or directory")
+    assert one_answer(tmp_path / "none", Request(Verb.STOP)) == Silence("No such file or directory", nowhere=True)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left_behind:
         left_behind.bind(str(tmp_path / "dead"))
     assert one_answer(tmp_path / "dead", Request(Verb.STOP)) == Silence("Connection refused")

@@ -55,10 +55,21 @@ def test_a_start_without_one_of_this_hosts_arms_is_refused(home: Path) -> None:
     arm = Arm(home / "left.control", Mode.READY, cell.fingerprint)
     with (
         serving([arm]),
-        pytest.raises(ControlError, match=r"start: found right: does not answer \(No such file or directory\), exp"),
+        pytest.raises(ControlError, match=r"start: found right: does not answer \(nothing at .*/right.control or "),
     ):
         start_arms(cell, None, 60.0, [], Here(GOOD, "one"), print)
     assert arm.heard == (False, [])
+
+
+def test_a_word_to_arms_that_are_elsewhere_says_where_it_looked_and_who_has_other_places(home: Path) -> None:
+    with pytest.raises(ControlError, match=r"does not answer \(nothing at ") as raised:
+        tell_arms(load_cell(PAPER), Verb.STOP, ["left"], [])
+    assert str(home / "left.control") in str(raised.value)
+    elsewhere = "; agents of another user, XDG_RUNTIME_DIR or cell name listen elsewhere"
+    assert raised.value.remedy.endswith(elsewhere)
+    with serving([Arm(home / "left.control", DEAD)]), pytest.raises(ControlError) as raised:
+        tell_arms(load_cell(PAPER), Verb.STOP, ["left"], [])
+    assert elsewhere not in str(raised.value), "its place is known"
 
 
 def test_a_service_that_lives_counts_before_what_an_agent_by_hand_has_left(home: Path, tmp_path: Path) -> None:

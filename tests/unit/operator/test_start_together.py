@@ -227,7 +227,7 @@ def test_an_agent_of_another_version_that_says_yes_to_everything_starts_nobody(
         ((ABSENT, DEAD, HUNG), "no answer within 0.04 s"),
         ((ABSENT, DEAD), "Connection refused"),
         ((DEAD, ABSENT), "Connection refused"),
-        ((ABSENT, ABSENT), "No such file or directory"),
+        ((ABSENT, ABSENT), "nothing at {0}/a.control or {0}/b.control"),
         ((), "no socket"),
     ],
 )
@@ -237,7 +237,8 @@ def test_of_several_places_of_an_arm_the_most_telling_silence_is_told(
     arms = cell_of(tmp_path / "cell", places)
     with serving(arms):
         heard = ask.ask_arms({"left": [arm.path for arm in arms]}, Request(Verb.STOP), QUICK_S)
-    assert heard == {"left": ask.Silence(found, hung=HUNG in places)}
+    said = found.format(tmp_path / "cell")
+    assert heard == {"left": ask.Silence(said, hung=HUNG in places, nowhere={*places} == {ABSENT})}
 
 
 def test_a_patient_start_is_tried_thrice_and_looks_before_each_time_whether_it_is_still_wanted(
