@@ -129,8 +129,8 @@ _STAYS = frozenset({Mode.READY, Mode.HOLD})
 _DEAF = "{}: no word reaches it; its log says why, then end its process"
 _WAIT = "wait until it answers"
 _NOT_SEEN = (
-    "look at it: its agent may run as another user, with another XDG_RUNTIME_DIR or another name of the cell, and hears "
-    "words that are said from there; where none runs, start its agent"
+    "look at it: its agent may run as another user, with another XDG_RUNTIME_DIR or name of the cell, and hears words "
+    "that are said from there; where none runs, start its agent"
 )
 _STOPS = "what moves stops, what holds the object goes on holding it"
 _ALL_LET_GO = "coop stop CELL: the arms stop for a moment, then let go and end"

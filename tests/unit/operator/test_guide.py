@@ -82,8 +82,8 @@ LOST = (
 )
 BEGIN = "bring it to its rest by hand and start its agent"
 NOT_SEEN = (
-    "look at it: its agent may run as another user, with another XDG_RUNTIME_DIR or another name of the cell, and hears "
-    "words that are said from there; where none runs, start its agent"
+    "look at it: its agent may run as another user, with another XDG_RUNTIME_DIR or name of the cell, and hears words "
+    "that are said from there; where none runs, start its agent"
 )
 APART: dict[str, tuple[list[dict[str, Any]], list[str]]] = {
     "one holds, one carries on": (
