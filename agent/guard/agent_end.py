@@ -38,7 +38,7 @@ class AgentEnd:
             self._socket.close()
             raise GuardError(
                 f"guard at {path}", found=said_of(error), expected="the guard of this arm",
-                remedy="start it first (`coop guard`), or leave out --guard",
+                remedy="start it first (`coop guard`)",
             ) from error  # fmt: skip
 
     def ask(self, word: Word, fds: Sequence[int] = (), **content: Any) -> tuple[int, ...]:

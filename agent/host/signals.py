@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -30,6 +30,7 @@ class StopFlag:
         self.stops = 0  # how often it was asked for
         self.why = ""  # by which signal it was asked for last
         self.released = False
+        self.heard: Callable[[str], None] = lambda _: None  # is told each stop at once, and must not block
         self._interrupts = False
         signal.signal(signal.SIGTERM, self._stop)
         signal.signal(signal.SIGINT, self._stop)
@@ -46,6 +47,7 @@ class StopFlag:
         self.why = f"{signal.Signals(number).name}: {_WHY[signal.Signals(number)]}"
         self.stopped = True
         self.stops += 1
+        self.heard(self.why)
         if self._interrupts:
             self._interrupts = False  # one is enough, and what it ends may tidy up
             raise KeyboardInterrupt

@@ -48,14 +48,14 @@ def _arm(arm: Mapping[str, Any], widest: int, width: int | None) -> Line:
     parts = [_loop(arm["timing"]), _servos(arm["servos"]), _errors(arm["errors"])]
     if arm["answers"]:
         head, tone = arm["mode"], _TONES.get(arm["mode"], Tone.HELD)
-        wrong = [_cut(why, width) for why in unfit(arm)]
+        wrong = [_cut(why, width) for why in (*unfit(arm), *_unguarded(arm))]
         if wrong:
             parts, tone = [*wrong, *parts], Tone.BAD
         if arm["reason"] and arm["mode"] not in ("READY", "TRACK"):
             parts.insert(0, _cut(arm["reason"], width))
         if arm["start_utc_ns"] is not None and arm["mode"] == "READY":
             parts.insert(0, "start given")
-        parts.append(_guard(arm["guard"]))
+        parts.append(f"guard {arm['guard']}" if arm["guard"] else "")
     else:
         head, why = silent(arm)
         known = arm["mode"] and head != arm["mode"]
@@ -120,8 +120,10 @@ def _errors(errors: Mapping[str, Any] | None) -> str:
     return ", ".join(found)
 
 
-def _guard(guard: Any) -> str:
-    return f"guard {guard}" if guard else ""
+def _unguarded(arm: Mapping[str, Any]) -> list[str]:
+    """Of an arm with servos that holds where it is stopped: that nobody goes on when its agent cannot."""
+    holds = arm["driver"] == "dynamixel" and arm["drops_on_stop"] is False
+    return ["NO GUARD"] if holds and arm["guard"] is None else []
 
 
 def _host(document: Mapping[str, Any]) -> Line:

@@ -25,6 +25,7 @@ from agent.guard.line import GuardError, Said, Word, close_all
 from agent.guard.resume import beginning
 from agent.guard.takeover import WATCH_NS, vigil_of
 from agent.guard.watched import DESCRIPTORS, Watched
+from agent.host.aside import Aside
 from agent.host.notify import Notifier, stored_fds
 from agent.host.ready_line import pairs
 from agent.host.realtime import become_realtime, leave_realtime, quiet_memory
@@ -96,6 +97,7 @@ class _Guard:
         self._port = self._open_port()
         stack.callback(self._close_port)
         self._line = stack.enter_context(GuardEnd(options.socket, cell.fingerprint))
+        self._aside = Aside()
         self._told, self._drivers = dict[str, Any](), tuple[int, ...]()  # by the agent: of its driver
         self._session = False  # whether the agent goes from rest to rest
         self._watched: Watched | None = None
@@ -132,6 +134,7 @@ class _Guard:
             stopped = self._stop.stopped
             reason = self._look()
             if reason and self._watched is not None and self._driver is not None:
+                self._aside(f"arm {self._arm.name}: {reason}: the guard goes on in its place until `coop release`")
                 return self._successor.hold(self._watched, self._driver, reason, session=self._session)
             if stopped and not self._has_said_yes():
                 return None

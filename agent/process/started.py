@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass
 
 from agent.config.schema.driver import DriverKind
+from agent.host.aside import Aside
 from agent.host.signals import begin
 from agent.host.starting import ready
 from agent.process.commands import (
@@ -63,6 +64,7 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     """One arm: read, step, limit, write."""
     from agent.config.cell import ConfigError, load_cell
     from agent.config.floating import spec_of
+    from agent.guard.guarded import UNGUARDED
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import run_agent
     from agent.process.build import port_of
@@ -108,12 +110,26 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     if command.ring is None or command.control is None:
         make_runtime_dir(name)
     floats = spec_of(loaded, loaded.arm(arm)) is not None
+    if options.hold and not floats:
+        requested.heard = _stops_told(arm, guarded=options.guard is not None)
+        if options.guard is None and kind is DriverKind.DYNAMIXEL:
+            listener.say(f"arm {arm}: {UNGUARDED}")
     summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
     listener.say(
         f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "
         f"mode {summary.mode.name} {summary.reason}"
     )
     return 0
+
+
+def _stops_told(arm: str, *, guarded: bool) -> Callable[[str], None]:
+    """What a person reads at the terminal of an agent that holds when it is stopped."""
+    aside, goes_on = Aside(), "its guard" if guarded else "this process"
+
+    def told(why: str) -> None:
+        aside(f"arm {arm}: {why}: stops; what has its torque on is held by {goes_on} until `coop release`")
+
+    return told
 
 
 def guard(command: GuardCommand, listener: Listener) -> int:

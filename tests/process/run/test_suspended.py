@@ -72,6 +72,9 @@ def test_an_agent_holds_its_arm(session: Path) -> None:
             ask_arms(controls, Request(Verb.RELEASE))
             assert terminal.end() == 0, terminal.shown
             assert "SUSPENDED" not in terminal.shown
+            stopped = "arm left: SIGTSTP: Ctrl-Z: stops; what has its torque on is held by this process until"
+            assert terminal.shown.count(stopped) == 1
+            assert "no guard" not in terminal.shown, "nothing can fall"
     finally:
         for process in (other, plant):
             process.kill()

@@ -28,13 +28,15 @@ def handlers() -> Iterator[None]:
 @pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP])
 def test_each_request_to_stop_is_counted(number: signal.Signals) -> None:
-    flag = StopFlag()
+    flag, heard = StopFlag(), list[str]()
+    flag.heard = heard.append
     assert (flag(), flag.stops, flag.released) == (False, 0, False)
     assert callable(signal.getsignal(number)), "or it suspends these tests"
     signal.raise_signal(number)
     signal.raise_signal(number)
     assert (flag(), flag.stops, flag.released) == (True, 2, False)
     assert flag.why.startswith(f"{number.name}: "), "and why is told"
+    assert heard == [flag.why] * 2, "at once, each time"
 
 
 @pytest.mark.usefixtures("handlers")

@@ -340,6 +340,25 @@ def test_an_arm_that_would_refuse_the_start_says_so_in_front(living: Arm) -> Non
     assert shown.tone is Tone.BAD
 
 
+@pytest.mark.parametrize(
+    ("driver", "guard", "lets_go", "said"),
+    [
+        ("dynamixel", None, False, True), ("dynamixel", "watches", False, False), ("dynamixel", None, True, False),
+        ("sim", None, False, False),
+    ],
+)  # fmt: skip
+def test_an_arm_with_servos_that_nobody_else_would_hold_has_no_guard(
+    living: Arm, driver: str, guard: str | None, lets_go: bool, said: bool
+) -> None:
+    assert living.control is not None
+    living.control.standing.details = lambda: {"driver": driver, "guard": guard, "drops_on_stop": lets_go}
+    document = status(CELL, CLOCK, logs=())
+    (shown, *_) = lines(document)
+    assert ("NO GUARD" in shown.rest) is said
+    assert of(document, "left")["guard"] == guard
+    assert shown.tone is (Tone.BAD if said else Tone.HELD)
+
+
 @pytest.mark.parametrize("whole", [False, True])
 def test_an_arm_that_answers_says_whether_it_is_one_of_a_session_and_lets_go_at_a_stop(
     living: Arm, *, whole: bool

@@ -97,6 +97,9 @@ class Bench:
         monkeypatch.setattr(process, "beginning", lambda *given, **more: self.rehearsals.append((*given, more)))
         self.guard: Any = _Guard.__new__(_Guard)
         self.guard._line = self.line
+        self.asides = list[str]()
+        self.guard._aside = self.asides.append
+        self.guard._arm = SimpleNamespace(name="left")
         self.guard._notifier = SimpleNamespace(alive=self._alive, send=lambda _: None)
         self.guard._options = SimpleNamespace(driver=driver)
         self.guard._agent, self.guard._session, self.guard._stroked_ns = "law", True, 0
@@ -170,6 +173,8 @@ def test_a_guard_that_is_asked_to_end_goes_on_with_an_arm_that_was_left_to_it_be
     bench.agent.dead = gone
     bench.guard.run()
     assert held == (["the agent has died"] if gone else [])
+    said = "arm left: the agent has died: the guard goes on in its place until `coop release`"
+    assert bench.asides == ([said] if gone else []), "on its terminal"
 
 
 def test_a_guard_that_is_asked_to_end_waits_for_an_agent_that_it_has_said_yes_to(

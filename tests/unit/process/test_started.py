@@ -12,6 +12,7 @@ import pytest
 import configs
 from agent.around import RunSummary
 from agent.config.schema.driver import DriverKind
+from agent.guard.guarded import UNGUARDED
 from agent.host.paths import control_path, guard_path, plant_socket_path, ring_path
 from agent.modes import Mode
 from agent.process import agent, guard, started
@@ -51,8 +52,8 @@ def given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Given:
     monkeypatch.setattr(agent, "run_agent", run)
     monkeypatch.setattr(guard, "run_guard", run)
 
-    def of(command: Any) -> Any:
-        assert started.run(command, Listener(lambda _: None)) == 0
+    def of(command: Any, say: Callable[[str], None] = lambda _: None) -> Any:
+        assert started.run(command, Listener(say)) == 0
         return got.pop()
 
     return of
@@ -79,6 +80,17 @@ def test_what_it_leaves_open_is_said_by_the_cell_and_found_where_all_look(given:
         assert given(replace(command, hold=False)).hold is False
         emulated = given(replace(command, emulated=True))
         assert (emulated.hold, emulated.shared) == (False, True)
+
+
+def test_who_starts_an_arm_that_nobody_else_would_hold_is_told_so(given: Any) -> None:
+    servos = replace(AGENT, guard=None)
+    for command, told in (
+        (servos, True), (AGENT, False), (replace(servos, whole=False, hold=False), False),
+        (replace(servos, driver=DriverKind.SIM), False),
+    ):  # fmt: skip
+        said = list[str]()
+        given(command, said.append)
+        assert (f"arm left: {UNGUARDED}" in said) is told
 
 
 def test_time_waits_for_a_simulated_arm_alone_and_not_where_it_keeps_the_wall_clocks_pace(given: Given) -> None:
