@@ -208,14 +208,14 @@ class Operator:
 
     def mode(self, mode: Mode) -> None:
         """The arm's mode has changed."""
+        took_nothing = self._standing.mode is Mode.GRASP and mode is Mode.APPROACH  # why has been said by `trouble`
         self._standing.enter(mode)
         signal, self._signal = self._signal, ""
-        if self._session:
+        if self._session and not took_nothing:
             stands = mode is Mode.HOLD or mode is Mode.HALT
             if signal or not stands:
                 self._standing.reason = way_back(mode, signal) if stands else ""
-            return
-        if mode is Mode.HOLD:
+        elif not self._session and mode is Mode.HOLD:
             asked = self._trouble or signal or self._arranged or "it was asked to"
             self._standing.reason = asked if self._stopped or self._arranged else "the trajectory has ended"
 

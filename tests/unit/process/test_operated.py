@@ -125,6 +125,21 @@ def test_a_hold_by_a_signal_says_which(tmp_path: Path, session: bool, mode: Mode
             assert rig.control.standing.reason == "", "a later stop is another's"
 
 
+def test_an_arm_that_took_nothing_says_why_until_it_goes_on(tmp_path: Path) -> None:
+    rig, why = Rig(tmp_path / "left.control", session=True), "the gripper closed on less: found 36.0 mm"
+    with closing(rig.control):
+        rig.operator.mode(Mode.APPROACH)
+        rig.operator.trouble("grasp: the arm is still on its way; wait for it")
+        for after in (Mode.GRASP, Mode.PARK):
+            rig.operator.mode(Mode.GRASP)
+            assert rig.control.standing.reason == "", "of a word before"
+            rig.operator.trouble(why)
+            rig.operator.mode(Mode.APPROACH)
+            assert rig.control.standing.reason == why
+            rig.operator.mode(after)
+            assert rig.control.standing.reason == ""
+
+
 def test_signals_say_the_same(rig: Rig) -> None:
     rig.signals.released = True
     assert rig.hear() == Event.RELEASED
