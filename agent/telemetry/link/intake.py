@@ -81,6 +81,7 @@ class Intake:
         self._stream: Stream | None = None  # that the present message is for
         self._told: dict[str, dict[bytes, None]] = {key: {} for key in self.streams}  # digests, the oldest first
         self.another_run = False  # what was just refused is of a new run: it goes into the next log
+        self.told_twice: set[str] = set()  # members of whose run two processes tell, in the present log
 
     def take(self, key: str, payload: bytes, attachment: bytes, now_s: float = 0.0) -> list[Rows] | list[Text]:
         """What is new in a message, in order; nothing when it does not belong here, which is counted.
@@ -150,7 +151,7 @@ class Intake:
         if not payload:
             if header.end is End.OPEN:
                 return self._reject(Rejection.WRONG_LENGTH)
-            if stream.turn_to(header.source):
+            if self._listens(stream, header, rows):
                 stream.note(header, 0)
             return []
         try:
@@ -162,17 +163,26 @@ class Intake:
             return self._reject(Rejection.NOT_A_TEXT)
         if stream.here >= TEXTS_MAX:
             return self._reject(Rejection.TOO_MANY_TEXTS)
-        if not stream.turn_to(header.source) or not stream.note(header, 1):
+        if not self._listens(stream, header, rows) or not stream.note(header, 1):
             return []
-        if event is not None:  # a telemetry process that was started again tells the same events again
-            told, digest = self._told[stream.address.key], hashlib.sha256(payload).digest()[:_DIGEST_BYTES]
-            if digest in told:
-                stream.duplicates += 1
-                return []
-            told[digest] = None
-            if len(told) > TOLD_MAX:
-                del told[next(iter(told))]
+        # a telemetry process that was started again, or a second one, tells the same again
+        told, digest = self._told[stream.address.key], hashlib.sha256(payload).digest()[:_DIGEST_BYTES]
+        if digest in told:
+            stream.duplicates += 1
+            return []
+        told[digest] = None
+        if len(told) > TOLD_MAX:
+            del told[next(iter(told))]
         return [Text(stream.address, payload, utc_ns, event)]
+
+    def _listens(self, stream: Stream, header: BatchHeader, rows: Stream) -> bool:
+        """Whether these texts count: of a process that told before another one only where both tell of this run."""
+        if not stream.turn_to(header.source):
+            if header.by.run != rows.source:
+                return False
+            stream.turn_back(header.source)
+            self.told_twice.add(stream.address.member)
+        return True
 
     def _reject(self, why: Rejection) -> list[Any]:
         self.rejected[why] += 1
@@ -189,6 +199,7 @@ class Intake:
     def begin_log(self) -> None:
         """What comes from now on goes into another log."""
         self.rejected.clear()
+        self.told_twice.clear()
         for stream in self.streams.values():
             stream.begin_log()
 

@@ -121,14 +121,12 @@ class _Recorder:
         )  # fmt: skip
         self._seal = seal_of(self._cell, options.fingerprint, topics.RECORDER)
         self._inbox = Inbox(frozenset(self._intake.streams))
-        self._zenoh_missed = 0
-        self._told: set[str] = set()
+        self._zenoh_missed, self._told = 0, set[str]()
         self._left_out: Counter[Rejection] = Counter()  # of the logs before
         self._left_out_told: Mapping[str, int] = {}
         self._left_out_s = 0.0
-        self.logs: list[Path] = []
         self.failure: str | None = None
-        self._budget_s = time.monotonic()
+        self.logs, self._budget_s = list[Path](), time.monotonic()
         self._open(options.path)
         self._completeness: dict[str, str] | None = None
         self._status_s, self._cause, self._taken = 0.0, "", False  # taken: anything since the status was made
@@ -262,6 +260,8 @@ class _Recorder:
         here = self._intake.rejected + self._inbox.rejected()
         for why in STRANGE & here.keys():
             self._say(Level.WARN, f"left out what does not belong here: {why.value}", {"reason": why.value})
+        for member in sorted(self._intake.told_twice):
+            self._say(Level.WARN, f"two telemetry processes tell of one run, both are heard: stop one of {member}", {})
         if now_s - self._left_out_s >= _LEFT_OUT_S:
             self._left_out_s = now_s
             every = self._left_out + here

@@ -35,7 +35,9 @@ class Stream:
         self._late_at: dict[int, int] = {}  # sequence numbers at the edges of that
         self._missed_before = 0
         self._rival_s: float | None = None  # since when another source has been speaking in this one's silence
-        self._past: set[int] = set()  # sources before this one
+        self._past: dict[
+            int, tuple[Coverage, int, int, End]
+        ] = {}  # sources before this one, with what is there of each
         self._sequence_at: dict[int, int] = {}  # of the first and last row of each range, and of some within
 
     @property
@@ -78,13 +80,19 @@ class Stream:
             return True
         if source in self._past:
             return False
-        self._past.add(self.source)
+        self._past[self.source] = self.have, self.written, self.missed, self.end
         self.whole_before = self.whole_before and (not self.written or self.all_there)
         self.late, self._late_at = Coverage(), {}
         self.source, self.have, self.end = source, Coverage(), End.OPEN
         self.written = self.missed = self.since = self._missed_before = 0
         self._sequence_at, self._rival_s = {}, None
         return True
+
+    def turn_back(self, source: int) -> None:
+        """Go on with a source from before, where it was left."""
+        self._past[self.source] = self.have, self.written, self.missed, self.end
+        self.have, self.written, self.missed, self.end = self._past.pop(source)
+        self.source = source
 
     def is_past(self, source: int) -> bool:
         """Whether it was this key's source before the present one."""

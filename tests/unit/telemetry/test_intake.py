@@ -282,6 +282,34 @@ def test_events_are_recorded_once_even_when_telemetry_starts_again() -> None:
     assert len(door.take(Address(CELL, "left", Kind.HEALTH).key, health, header(0, 1))) == 1
 
 
+def test_two_telemetry_processes_of_one_run_are_both_heard_and_each_text_goes_in_once() -> None:
+    """The second one would else silence the first for good, also when it has ended."""
+    door, events, healths = intake(), *(Address(CELL, "left", kind).key for kind in (Kind.EVENT, Kind.HEALTH))
+    door.take(KEY, GOOD, header(0, 4))
+    told = [Event(n, "left", Level.INFO, "mode").to_json() for n in range(4)]
+    assert door.take(events, told[0], header(0, 1, source=5))
+    assert not door.take(events, told[0], header(0, 2, source=6))
+    assert not door.told_twice, "the first one may have been ended"
+    assert door.take(events, told[1], header(1, 2, source=6))
+    assert door.take(events, told[2], header(1, 2, source=5))
+    assert door.told_twice == {"left"}
+    assert door.take(events, told[3], header(2, 3, source=5))
+    assert door.take(events, b"", header(3, 3, end=End.FINISHED, source=5)) == []
+    assert door.streams[events].status == StreamStatus(5, ((0, 2),), ended=True), "so that it ends, too"
+    health = json.dumps({"utc_ns": 3}).encode()
+    assert [len(door.take(healths, health, header(0, 1, source=by))) for by in (5, 6)] == [1, 0]
+    assert not door.rejected
+    door.begin_log()
+    assert not door.told_twice, "of the log before"
+    door.take(KEY, b"", header(4, 4, end=End.FINISHED))
+    door.take(KEY, GOOD, header(0, 4, source=88, by=sent(run=88)))
+    door.take(KEY, GOOD, header(0, 4, source=88, by=sent(run=88)))
+    assert door.take(events, told[0], header(0, 1, source=7, by=sent(run=88))) == []
+    late = Event(9, "left", Level.INFO, "late").to_json()
+    assert door.take(events, late, header(3, 4, source=5)) == [], "of a run before"
+    assert not door.told_twice
+
+
 def test_completeness_says_what_is_missing_and_why() -> None:
     door = intake()
     for member in ("left", "right", PLANT):
