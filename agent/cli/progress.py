@@ -90,9 +90,12 @@ class RunProgress:
             self._bar.update(self._bar.task_ids[0], description=what)
 
     def note(self, text: str) -> None:
-        """Write a line that stays."""
+        """Write a line that stays: in the place of the spinner, above the bar."""
         self._steps.clear()
-        note(text)
+        if self._bar is None:
+            note(text)
+        else:  # which else has its own end in front of the text
+            self._bar.console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
     def advance(self, t_s: float, duration_s: float, speed: float, error_mm: float | None) -> None:
         """Show how far the run is."""

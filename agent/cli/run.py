@@ -7,7 +7,7 @@ import json
 import re
 import select
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +20,8 @@ from agent.cli.results import show_results
 class _Terminal:
     """A person at the terminal, beside real arms."""
 
-    def __init__(self, *, empty: bool) -> None:
+    def __init__(self, tell: Callable[[str], None], *, empty: bool) -> None:
+        self.tell = tell
         self._empty = empty  # they have said so for all arms
 
     def says_empty(self, arm: str) -> bool:
@@ -37,9 +38,6 @@ class _Terminal:
             while in_front() and select.select([sys.stdin], [], [], 0.0)[0] and sys.stdin.readline():
                 pressed = True
         return pressed
-
-    def tell(self, text: str) -> None:
-        note(text)
 
 
 def _require_use(of_real_arms: Mapping[str, bool], ways: Mapping[str, bool], *, real_arms: bool) -> None:
@@ -132,17 +130,17 @@ def run(
         {"--real-time": real_time, "--wire": wire, "--hil": hil is not None, "--real-arms": real_arms and hil is None},
         real_arms=real_arms,
     )  # fmt: skip
-    requested = StopFlag()
+    requested, progress = StopFlag(), RunProgress()
     kind = RunKind.WIRE if wire else RunKind.REAL_TIME if real_time else RunKind.LOCKSTEP
     if hil is not None:
         kind, overrides = RunKind.HIL, [*overrides, 'driver="sim"', f"hil.arms={json.dumps(_arms_of(hil))}"]
     real = None
     if real_arms:
         kind = RunKind.HIL
-        real = RealArms(_Terminal(empty=gripper_empty), priority, allow_no_realtime, emulated)
+        real = RealArms(_Terminal(progress.note, empty=gripper_empty), priority, allow_no_realtime, emulated)
     where = listen or FREE_PORT
     options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, where, report, whole, real)
-    with RunProgress() as progress:
+    with progress:
         outcome = run_cell(options, requested, progress)
     if as_json:
         from agent.cli.documents import run_document

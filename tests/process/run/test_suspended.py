@@ -139,7 +139,7 @@ import select, sys, time
 from agent.cli.run import _Terminal
 from agent.host.signals import StopFlag
 StopFlag()
-terminal = _Terminal(empty=False)
+terminal = _Terminal(print, empty=False)
 print("WAITS", flush=True)
 select.select([sys.stdin], [], [])
 print("SAYS", terminal.hears, terminal.lets_go(), terminal.lets_go(), WAY)

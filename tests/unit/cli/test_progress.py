@@ -107,6 +107,28 @@ def test_a_note_stays_above_what_a_run_does_next(terminal: Terminal) -> None:
     assert "it uses another folder" in lines(terminal)
 
 
+class Written(io.TextIOWrapper):
+    """A terminal with bytes below it, to which `echo` writes past whoever draws there."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.usefixtures("terminal")
+def test_a_note_has_a_line_of_its_own_above_what_is_drawn() -> None:
+    written = io.BytesIO()
+    with redirect_stderr(Written(written, encoding="utf-8", write_through=True)), RunProgress() as progress:
+        progress.phase("starting")
+        progress.note("arms left MOVE")
+        progress.phase("running")
+        progress.advance(1.0, 5.0, 1.0, 0.1)
+        progress.note("arm left [HOLDS] :o:")
+        progress.advance(2.0, 5.0, 1.0, 0.1)
+    shown = lines(io.StringIO(written.getvalue().decode()))
+    assert "arms left MOVE" in shown
+    assert "arm left [HOLDS] :o:" in shown
+
+
 @pytest.mark.parametrize(("t_s", "least", "most"), [(10.0, 0.05, 0.2), (90.0, 0.8, 0.95)])
 def test_the_bar_is_as_full_as_the_run_is_far(terminal: Terminal, t_s: float, least: float, most: float) -> None:
     with redirect_stderr(terminal), RunProgress() as progress:
