@@ -105,6 +105,7 @@ class Ending:
         self._sink_s, self._period_s = sink_s, period_s
         self._tell = tell
         self._mode = Mode.FLOAT
+        self.asked = False  # to stop, by whoever is not the arm itself
         self._since_ns = now_ns()  # in this mode
         self._seen_s = self._slow_s = 0.0  # in cycles with a state: in this mode, and since a joint moved last
 
@@ -131,7 +132,8 @@ class Ending:
         if self._mode is Mode.STAND:
             return Event.RELEASED if seen and seconds >= STAND_S else Event.NONE
         if self._mode is not Mode.SINK:
-            return Event.STOP if self._stop() else Event.NONE
+            self.asked = self.asked or self._stop()
+            return Event.STOP if self.asked else Event.NONE
         lies = self._slow_s >= LIES_S and self._seen_s >= self._sink_s
         return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE
 
@@ -177,6 +179,7 @@ class FloatLoop:
         schedule = schedule_of(cell, hold=True, shared=shared)
         self.schedule = schedule if floats.moves else replace(schedule, ticks=ENDLESS)
         self._told = told
+        self.stopped_by = ""  # why it stopped by itself, of an arm that nobody had asked to
         self._monitors = Monitors(floats.bounds, self._ending.warn)
         self._heart = Heart(notifier, cell.file.rate_hz)
         self._servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
@@ -187,7 +190,7 @@ class FloatLoop:
             told.start_ns if told else lambda: None,
             self._beat,
             self._mode_changed,
-            tell.trouble,
+            self._trouble,
         )
 
     def run(self, stands: Beginning | None = None) -> RunSummary:
@@ -236,6 +239,11 @@ class FloatLoop:
     def _beat(self) -> None:
         self._heart.beat()
         self._servos.beat()
+
+    def _trouble(self, reason: str) -> None:
+        self._tell.trouble(reason)
+        if not self._ending.asked:
+            self.stopped_by = reason
 
     def _mode_changed(self, mode: Mode) -> None:
         self._heart.mode(mode)

@@ -30,9 +30,15 @@ from agent.process.tellers import Teller, opened
 from agent.process.unbegun import Unbegun
 from agent.telemetry.row.event import Level
 from drivers.clock import MonotonicClock
-from drivers.interface import Clock, Driver, Refusal, StaleStateError
+from drivers.interface import Clock, Driver, DriverError, Refusal, StaleStateError
 
 STALE_MAX = 3
+
+
+class FloatStopped(DriverError):
+    """An arm that nobody had asked to has stopped floating, or moving with those that do."""
+
+    exit_code = 5
 
 
 def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable[[str], None]) -> RunSummary:
@@ -90,7 +96,13 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             driver.close()
             leave_realtime()
             notifier.stopping("torque off")
-    return ArmLost.check(arm.name, summary)
+    ArmLost.check(arm.name, summary)
+    if loop.stopped_by:
+        raise FloatStopped(
+            f"arm {arm.name}", found=loop.stopped_by, expected="a stop by whoever guides it",
+            remedy="it has sunk, and its torque is off; its log says what went before",
+        )  # fmt: skip
+    return summary
 
 
 def _floats(cell: Cell, options: AgentOptions) -> Floats:

@@ -241,6 +241,20 @@ def test_monitors_are_those_of_a_floating_arm_and_warn_as_the_ending_lets_them(m
     assert "y" not in bench.told
 
 
+def test_an_arm_has_stopped_by_itself_unless_somebody_had_asked_it_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    for asked in (False, True):
+        bench = Bench(monkeypatch, "left", *ALONE)
+        bench.loop._tell.trouble = bench.told.append
+        bench.loop.run()
+        around = bench.runners[0][6]
+        bench.stops = asked
+        assert around.operator() is (Event.STOP if asked else Event.NONE)
+        bench.stops = False
+        around.trouble("it is too quick")
+        assert bench.loop.stopped_by == ("" if asked else "it is too quick")
+        assert "it is too quick" in bench.told
+
+
 def test_an_arm_that_another_process_let_float_goes_on_in_its_mode(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, "left", *HOLDING)
     stands = Beginning(Mode.STAND, initial_memory(bench.agent), 3, 5, "the agent has died")

@@ -177,3 +177,24 @@ def test_nor_has_an_arm_that_floats(
     assert bench.said == ["ring", "law", "torque"][: 3 if torque else 2]
     assert bench.had_torque is torque
     assert not bench.port.is_open
+
+
+def test_the_process_of_an_arm_that_stopped_floating_by_itself_does_not_end_as_one_that_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: StopFlag
+) -> None:
+    bench = Bench(load_cell(configs.CELLS_DIR / NAME, ['floating.arms=["left"]']), tmp_path, stop, "torque")
+    monkeypatch.setattr(floats, "quiet_memory", lambda: None)
+    monkeypatch.setattr(floats, "MonotonicClock", lambda _: bench.clock)
+    monkeypatch.setattr(floats, "servo_driver", lambda *_: bench.driver)
+    runs = float_loop.FloatLoop.run
+
+    def run(loop: float_loop.FloatLoop) -> RunSummary:
+        summary = runs(loop)
+        loop.stopped_by = "it is too quick"
+        return summary
+
+    monkeypatch.setattr(float_loop.FloatLoop, "run", run)
+    with pytest.raises(floats.FloatStopped, match="arm left: found it is too quick, expected a stop by") as told:
+        floats.run_float(bench.cell, bench.options, stop, bench.happens)
+    assert told.value.exit_code == 5
+    assert not bench.port.is_open
