@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import configs
+from agent.around import RunSummary
 from agent.config.cell import Cell, load_cell
 from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
