@@ -132,6 +132,10 @@ _NOT_SEEN = (
     "look at it: its agent may run as another user, with another XDG_RUNTIME_DIR or name of the cell, and hears words "
     "that are said from there; where none runs, start its agent"
 )
+_OTHER_FILE = (
+    "next for {}: coop guide with the cell file that its agent was started with; of words with this one it takes "
+    "coop stop CELL and coop release CELL alone"
+)
 _STOPS = "what moves stops, what holds the object goes on holding it"
 _ALL_LET_GO = "coop stop CELL: the arms stop for a moment, then let go and end"
 
@@ -165,7 +169,10 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
         what = way.steps[mode].seen if mode in way.steps else TABLE[mode].says
         said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, (what, *unfit(arm), arm["reason"]))))
     back = any(arm["no_start"] for arm in heard)
-    if silenced or len(set(modes.values())) > 1:
+    elsewhere = [arm["arm"] for arm in heard if arm["same_cell"] is False]
+    if elsewhere:
+        told = [_OTHER_FILE.format(", ".join(elsewhere))]
+    elif silenced or len(set(modes.values())) > 1:
         gone = {name: _begin_again(way, *how, others=bool(modes)) for name, how in silenced.items()}
         told = _apart(way, modes, back, gone, ends)
     else:

@@ -219,6 +219,16 @@ def test_every_word_that_is_told_of_an_arm_whose_guard_leads_it_back_is_taken_by
     assert mode is not Mode.REST or words == {Verb.RELEASE}
 
 
+def test_arms_of_another_file_are_told_no_word_that_they_refuse() -> None:
+    """All but stop and release are refused with a file that is not the agent's."""
+    found = [arm("left", "APPROACH", same_cell=False), arm("right", "REST")]
+    for arms, named in ((found, "left"), ([found[0], arm("right", "READY", same_cell=False)], "left, right")):
+        *said, told_then = lines(arms, "CELL")
+        assert len(said) == 2
+        assert told_then.startswith(f"next for {named}: coop guide with the cell file that its agent was started with;")
+        assert {Verb.STOP, Verb.RELEASE} == set(told(told_then))
+
+
 def test_sockets_that_are_given_are_named_as_such() -> None:
     assert lines([arm("l.control", "HOLD"), silent("r.control", None)], "c", "--control")[2].startswith(
         "next for l.control: coop lower c --control l.control sets it down"
