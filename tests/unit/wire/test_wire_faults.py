@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,23 @@ from sim_backend.wire.faults import Fault, FaultError, FaultKind, parse_lines
 from sim_backend.wire.injector import Injector, by_arm
 from sim_backend.wire.pty import PtyPort
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring
+from tests.support.documents import ROOT
 from tests.support.servos.wire_bench import MS, Bench, word
 
 PING_ALL = 0xFE, Instruction.PING
+
+
+def test_the_page_has_every_kind_and_key_with_what_holds_where_none_is_given() -> None:
+    page = (ROOT / "docs/commands.md").read_text().split("### Faults of emulated servos")[1].split("## ")[0]
+    _, *rows = [line for line in page.splitlines() if line.startswith("| `")]
+    kinds = [kind for row in rows for kind in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert sorted(kinds) == sorted(kind.value for kind in FaultKind)
+    for name, key in Fault.model_fields.items():
+        assert f"`{name}`" in page
+        if name != "duration_s" and isinstance(key.default, (int, float)):
+            assert f"`{name}` ({key.default:g})" in page
+    example = page.split("```")[1]
+    assert [fault.kind for fault in parse_lines(example)] == [FaultKind.SILENT, FaultKind.DROP]
 
 
 class Rig(Bench):
