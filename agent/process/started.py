@@ -110,11 +110,18 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     if command.ring is None or command.control is None:
         make_runtime_dir(name)
     floats = spec_of(loaded, loaded.arm(arm)) is not None
+    warnings = list[str]()  # said with the first ready line: whoever is refused has nothing that could fall
     if options.hold and not floats:
         requested.heard = _stops_told(arm, guarded=options.guard is not None)
         if options.guard is None and kind is DriverKind.DYNAMIXEL:
-            listener.say(f"arm {arm}: {UNGUARDED}")
-    summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
+            warnings.append(f"arm {arm}: {UNGUARDED}")
+
+    def begun(text: str) -> None:
+        ready(text)
+        while warnings:
+            listener.say(warnings.pop())
+
+    summary = (run_float if floats else run_agent)(loaded, options, requested, begun)
     listener.say(
         f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "
         f"mode {summary.mode.name} {summary.reason}"
