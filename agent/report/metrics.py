@@ -200,7 +200,7 @@ def _internal_realised(arm: RunArm, run: Prepared) -> WrenchSize:
 
 
 def _internal_force_mean_N(run: Prepared) -> float:
-    """Mean after the transient, until the first arm holds by itself, of the force of the arm with the most."""
+    """Mean after the transient until the first arm holds, of the arm with the most beyond what it was to give."""
     if run.grasps is None:
         return NAN
     begin_s, until_s, t = run.info.transient_s, math.inf, run.grasps.t
@@ -208,7 +208,7 @@ def _internal_force_mean_N(run: Prepared) -> float:
         held = rows["t"][(rows["mode"] != Mode.TRACK) & (rows["t"] >= begin_s)]
         until_s = min(until_s, *held[:1].tolist(), math.inf)
     counted = (t >= begin_s) & (t < until_s)
-    return mean(largest_force(run.grasps.internal_force[counted]))
+    return mean(largest_force(run.grasps.unasked_force[counted]))
 
 
 def _load_share(arm: RunArm, run: Prepared) -> float:

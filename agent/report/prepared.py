@@ -23,6 +23,7 @@ from agent.report.series import (
     in_run,
     internal_wrenches,
     is_stale,
+    nearest,
     pose_by_arm,
     pose_by_plant,
 )
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
 _BLOCK_ROWS: Final = 1 << 15
+_ASKED_WITHIN_NS: Final = 20_000_000  # of a row of the plant the row of an arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,7 @@ class GraspForces:
     t: Array
     plant: Table
     internal_force: Array  # (k, N) size of the part that moves nothing, N
+    unasked_force: Array  # (k, N) the same less what each arm was to give of it
     internal_moment: Array  # (k, N) N·m; NaN without grasp offsets
 
 
@@ -89,7 +92,7 @@ def prepare(log: AnyLog) -> Prepared:
         plant = in_run(on_time_of(Table.of(log.plant), tables.values()), info)
         true, note = pose_by_plant(going_on(seen, info), plant, 1.0 / info.rate_hz)
         missing += [note] if note else []
-        grasps = _grasp_forces(plant, info, missing)
+        grasps = _grasp_forces(plant, info, rows, missing)
     return Prepared(log, info, whole, rows, seen, true, grasps, tuple(missing))
 
 
@@ -157,19 +160,33 @@ def _strangers(log: AnyLog) -> list[str]:
     ]
 
 
-def _grasp_forces(plant: Table, info: RunInfo, missing: list[str]) -> GraspForces:
-    offsets = _grasp_offsets(info)
+def _grasp_forces(plant: Table, info: RunInfo, rows: Mapping[str, Table], missing: list[str]) -> GraspForces:
+    offsets, t = _grasp_offsets(info), column(plant, "t")
+    asked = np.stack([_asked_force(rows.get(arm.name), t) for arm in info.arms], axis=1)
     if offsets is None:
         missing.append("moments of the realised internal wrench need the grasp offsets of every arm")
-    sizes = np.empty((2, len(plant), len(info.arms)))
+    sizes = np.empty((3, len(plant), len(info.arms)))
     at = 0
     for block in plant.blocks(_BLOCK_ROWS):
         wrenches = grasp_wrenches(block, len(info.arms))
         internal = internal_wrenches(wrenches, column(block, "quat_object"), offsets)
-        sizes[0, at : at + len(block)] = np.linalg.norm(internal[:, :, :3], axis=2)
-        sizes[1, at : at + len(block)] = np.linalg.norm(internal[:, :, 3:], axis=2)
+        here = slice(at, at + len(block))
+        force, moment = internal[:, :, :3], internal[:, :, 3:]
+        sizes[:, here] = [np.linalg.norm(part, axis=2) for part in (force, force - asked[here], moment)]
         at += len(block)
-    return GraspForces(column(plant, "t"), plant, *sizes)
+    return GraspForces(t, plant, *sizes)
+
+
+def _asked_force(rows: Table | None, t: Array) -> Array:
+    """(k, 3) force of the internal wrench that an arm was to give at these times, N, world axes."""
+    if rows is None or not len(rows):
+        return np.zeros((len(t), 3))
+    asked = np.nan_to_num(column(rows, "wrench_internal", slice(0, 3)))
+    if not asked.any():
+        return np.zeros((len(t), 3))
+    when, wanted = (np.rint(1e9 * x).astype(np.int64) for x in (column(rows, "t"), t))
+    at = nearest(when, wanted, _ASKED_WITHIN_NS)
+    return np.where((at >= 0)[:, None], asked[at], 0.0)
 
 
 def _grasp_offsets(info: RunInfo) -> Array | None:

@@ -14,6 +14,7 @@ from agent.telemetry.row.topics import Address
 GAPS_MAX: Final = 100
 SILENT_S: Final = 1.0  # telemetry sends 30 batches a second; what is refused meanwhile it sends again
 _EDGES_MAX: Final = 1024
+_Left = tuple[Coverage, int, int, End]  # what was there of a source, and how it stood
 
 
 class Stream:
@@ -35,9 +36,7 @@ class Stream:
         self._late_at: dict[int, int] = {}  # sequence numbers at the edges of that
         self._missed_before = 0
         self._rival_s: float | None = None  # since when another source has been speaking in this one's silence
-        self._past: dict[
-            int, tuple[Coverage, int, int, End]
-        ] = {}  # sources before this one, with what is there of each
+        self._past: dict[int, _Left] = {}  # sources before this one
         self._sequence_at: dict[int, int] = {}  # of the first and last row of each range, and of some within
 
     @property

@@ -92,6 +92,17 @@ def test_the_mean_internal_force_is_of_the_arm_with_the_most_until_the_first_hol
     assert math.isnan(summarise(small_run(plant=False)).internal_force_mean_N)
 
 
+def test_what_arms_are_to_press_by_is_none_of_it_while_rows_say_so() -> None:
+    log = small_run()
+    log.plant["grasp_wrench"][:, 0], log.plant["grasp_wrench"][:, 6] = 3.0, -3.0
+    assert summarise(log).internal_force_mean_N == pytest.approx(3.0)
+    for arm, N in (("left", 2.0), ("right", -2.0)):
+        log.agents[arm]["wrench_internal"][:, 0] = N
+        log.agents[arm]["wrench_internal"][10] = math.nan  # a tick without a law
+    assert summarise(log).internal_force_mean_N == pytest.approx(1.0, abs=0.02)
+    assert summarise(log).arms["left"].internal_realised.max_force_N == pytest.approx(3.0), "all of it"
+
+
 def test_chatter_is_the_mean_change_per_tick_and_a_gap_is_no_change() -> None:
     log = small_run()
     rows = log.agents["left"]
