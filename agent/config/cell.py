@@ -112,11 +112,11 @@ class Cell(CellFiles):
             gravity=self.file.world.gravity_m_per_s2,
             friction=friction,
             posture=_posture(entry),
-            internal_wrench=self._internal_wrench(arm),
+            internal_wrench=self.internal_wrench(arm),
             adaptation=self._adaptation(arm),
         )
 
-    def _internal_wrench(self, arm: Arm) -> Vec6 | None:
+    def internal_wrench(self, arm: Arm) -> Vec6 | None:
         """This agent's part of the internal wrenches, about the object's centre; None when none is wanted."""
         if all(a.entry.internal_wrench_N_Nm is None for a in self.arms):
             return None

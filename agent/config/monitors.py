@@ -2,11 +2,11 @@
 
 How far the wrench W of agent.monitors.gravity may be from zero follows from the cell's `[tolerance]`, by component:
 
-    limit = max over arms of MARGIN √(Σ columns²),   columns = J⁻ᵀ (masses g), J⁻ᵀ e_j torque_constant (g + c Jᵀ w)_j,
+    limit = max over arms of MARGIN √(Σ columns²),   columns = J⁻ᵀ (masses g), J⁻ᵀ e_j torque_constant τ_j,
                                                                J⁻ᵀ e_j friction F_j, J⁻ᵀ (object c Jᵀ w)
 
-with F_j all that may hold a joint at rest: Coulomb friction, breakaway, and what grows with the load.  The poses are
-those of the start.
+with τ = g + Jᵀ (c w + f_int) what the arm holds and F_j all that may hold a joint at rest: Coulomb friction, breakaway,
+and what grows with the load.  The poses are those of the start.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from agent.config.friction import lifting_Nm, unfiled_Nm
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.session import Session
 from agent.config.session import rest_joints
-from agent.config.statics import carried_Nm
+from agent.config.statics import carried_Nm, held_Nm
 from agent.config.trajectory import sample_times, waypoint_times
 from agent.control import ik
 from agent.control.inverse import pseudo_inverse
@@ -76,7 +76,7 @@ def _bounds(cell: Cell, arm: Arm, shared: _Shared) -> Bounds:
     spec, file = cell.file.safety.monitors, cell.file
     no_load = np.array([m.no_load_rad_per_s for m in arm.servo_models])
     model, k = shared.starts[arm.name]
-    held = k.g + carried_Nm(cell, arm, k)
+    held = held_Nm(cell, arm, k)
     at_rest = _friction(arm, held) + unfiled_Nm(cell.tolerance, arm.servos, held)
     low = model.model.lowerPositionLimit + spec.position_margin_rad
     high = model.model.upperPositionLimit - spec.position_margin_rad
@@ -170,7 +170,7 @@ def _errors_at_rest(cell: Cell, arm: Arm, start: _Start) -> Matrix:
     """(6, s) what errors within the tolerance make of W at the start: a column each."""
     (model, k), stated = start, cell.tolerance
     carried = carried_Nm(cell, arm, k)
-    held = k.g + carried
+    held = held_Nm(cell, arm, k)
     torques = [
         (stated.masses * k.g)[:, None],
         np.diag(stated.torque_constant * held),

@@ -15,7 +15,7 @@ from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.config.friction import all_at_rest_Nm, unfiled_Nm
 from agent.config.once import once_per_cell
-from agent.config.statics import carried_Nm
+from agent.config.statics import held_Nm
 from agent.config.trajectory import sample_times
 from agent.control import ik
 from agent.control.errors import HALF_ANGLE
@@ -132,7 +132,7 @@ def _places(known: _Arm) -> list[_Place]:
 
 def _unknown_Nm(known: _Arm, at: _Place) -> Vector:
     """(n,) friction of each joint that the arm's feed-forward may lack."""
-    stated, held = known.cell.tolerance, _held_Nm(known, at)
+    stated, held = known.cell.tolerance, held_Nm(known.cell, known.arm, at.k)
     low, high = stated.friction
     share = high if known.offline.friction is None else max(high - 1.0, 1.0 - low, UNKNOWN_LEAST)
     servos = known.arm.servos
@@ -140,13 +140,8 @@ def _unknown_Nm(known: _Arm, at: _Place) -> Vector:
     return found
 
 
-def _held_Nm(known: _Arm, at: _Place) -> Vector:
-    found: Vector = at.k.g + carried_Nm(known.cell, known.arm, at.k)
-    return found
-
-
 def _turned_N(known: _Arm, at: _Place) -> float:
-    rubbing = at.to_wrench[:3] * all_at_rest_Nm(known.arm.servos, _held_Nm(known, at))
+    rubbing = at.to_wrench[:3] * all_at_rest_Nm(known.arm.servos, held_Nm(known.cell, known.arm, at.k))
     return float(np.abs(np.array(down(known.cell)) @ rubbing).sum())
 
 
@@ -171,7 +166,7 @@ def _errors(known: _Arm, at: _Place) -> Matrix:
     """(6, s) what constant errors make of the unexpected wrench here: a column each."""
     cell, arm, P, k = known.cell, known.arm, known.model.task_basis, at.k
     stated = cell.tolerance
-    held = k.g + carried_Nm(cell, arm, k)
+    held = held_Nm(cell, arm, k)
     x, y, z = (np.array(k.p_object) - arm.T_world_base.translation).tolist()
     across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # ω × reach
     R = np.reshape(k.R_world_object, (3, 3))

@@ -15,6 +15,7 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.friction import all_at_rest_Nm, at_rest_Nm, joint_friction, lifting_Nm, unfiled
 from agent.config.noticing import derived, thresholds
 from agent.config.schema.arm import Figure, Provenance
+from agent.config.statics import held_Nm
 from agent.control.residual import Channels, Residual
 from agent.verify.check import examine
 from agent.verify.finding import Verdict
@@ -128,7 +129,7 @@ def test_friction_that_grows_with_the_load_is_that_of_arm_and_object_together(tm
 
 def _rubbing(known: usual._Arm, at: usual._Place) -> np.ndarray:
     """(6, n) J⁻ᵀ of the friction of each joint at rest."""
-    return at.to_wrench * all_at_rest_Nm(known.arm.servos, usual._held_Nm(known, at))
+    return at.to_wrench * all_at_rest_Nm(known.arm.servos, held_Nm(known.cell, known.arm, at.k))
 
 
 def test_friction_that_no_file_has_counts_beside_what_may_be_wrong_with_the_files(tmp_path: Path) -> None:
@@ -136,7 +137,7 @@ def test_friction_that_no_file_has_counts_beside_what_may_be_wrong_with_the_file
     stated = cell("two_wx200", *rubbing)
     known = usual._known(stated, stated.arms[1])
     at = usual._places(known)[4]
-    held, coulomb = usual._held_Nm(known, at), np.array([s.coulomb_Nm.value for s in known.arm.servos])
+    held, coulomb = held_Nm(known.cell, known.arm, at.k), np.array([s.coulomb_Nm.value for s in known.arm.servos])
     wanted = 0.5 * coulomb + (0.5 * coulomb + 0.05 * np.abs(held))
     np.testing.assert_allclose(usual._unknown_Nm(known, at), wanted, atol=1e-12)
     first, *others = known.arm.servos
@@ -237,6 +238,16 @@ def test_of_a_move_behind_a_long_wait_errors_count_all_the_same(tmp_path: Path) 
         found.append(derived(load_cell(tmp_path / "cell.toml", ["duration_s=100.0"])))
     assert found[0] == pytest.approx(found[1], rel=0.02)
     assert found[1].slow_N > 1.05 * derived(load_cell(tmp_path / "cell.toml", ["duration_s=50.0"])).slow_N
+
+
+def test_a_squeeze_makes_something_of_torque_constants_that_are_off() -> None:
+    pressed = [
+        f"arms.{arm}.internal_wrench_N_Nm=[{N}, 0.0, 0.0, 0.0, 0.0, 0.0]" for arm, N in (("left", 9.0), ("right", -9.0))
+    ]
+    exact = ("tolerance.torque_constant=0.0",)
+    more = [derived(cell("paper_real", *own)).slow_N for own in ((), pressed, exact, (*exact, *pressed))]
+    assert more[1] > 1.005 * more[0]
+    assert more[3] == pytest.approx(more[2], rel=0.01), "but for friction that grows with load"
 
 
 def test_without_an_observer_all_of_an_encoders_step_comes_through() -> None:

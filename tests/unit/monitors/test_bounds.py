@@ -250,6 +250,27 @@ def test_weight_at_rest_may_be_off_by_what_the_tolerance_allows() -> None:
     assert sticking.frozen_Nm == pytest.approx(3.0 * more, rel=0.02)
 
 
+def test_torque_constants_that_are_off_make_something_of_a_squeeze_too() -> None:
+    """Object axes, which are turned against the world's in this cell's start."""
+    squeeze = {"left": [4.0, 0.0, 1.0], "right": [-4.0, 0.0, -1.0]}
+    pressed = [f"arms.{arm}.internal_wrench_N_Nm={[*f, 0.0, 0.0, 0.0]}" for arm, f in squeeze.items()]
+    turned = ("trajectory.angle_rad=0.0", "trajectory.quat_centre=[0.9937607, 0.0, 0.1115313, 0.0]")
+    start = "object.quat_start=[0.9937607, 0.0, 0.1115313, 0.0]"
+    cell = load("two_wx200", *EXACT, "tolerance.torque_constant=0.5", *pressed, *turned, start)
+    sizes = []
+    for arm in cell.arms:
+        model = cell.model(arm)
+        k = model.evaluate(ik.solve(model, cell.T_world_object_start, np.array(arm.entry.q_near_rad)), np.zeros(3))
+        force = cell.T_world_object_start.rotation @ squeeze[arm.name] + [0.0, 0.0, 0.031 * 9.81]
+        held = k.g + k.Jt[:, :3] @ force
+        friction = [lifting_Nm(servo, tau) for servo, tau in zip(arm.servos, held.tolist(), strict=True)]
+        J_inv_T = np.linalg.inv(k.J).T
+        each = np.hstack([0.5 * J_inv_T * held, J_inv_T * friction])
+        sizes.append(1.4 * np.linalg.norm(each, axis=1))
+    found = bounds(cell, cell.arms[0]).gravity
+    assert [found[0], found[2], found[4]] == pytest.approx(np.max(sizes, axis=0), rel=1e-3)
+
+
 def test_a_joint_that_is_pressed_on_may_stick_as_its_load_at_the_start_lets_it(tmp_path: Path) -> None:
     """The object's part in that load is of its own sign."""
     cell = with_figures(load("two_wx200", *EXACT, "object.mass_kg=0.4"), tmp_path, pressed_on)
