@@ -18,7 +18,7 @@ from agent.control.quaternion import angle_between
 from agent.report.loss import LOST_M, LOST_RAD, is_lost
 from agent.report.series import internal_wrenches, largest_force, largest_or_zero, rotate
 from agent.study.lab import Laboratory, Run
-from agent.verify.disagreement import mean_bound_N
+from agent.verify.force import mean_bound_N
 from drivers.interface import DriverError, Vector
 from sim_backend.physics.spec import PlantError
 

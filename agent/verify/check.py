@@ -19,7 +19,7 @@ from agent.verify.adaptive import examine_adaptation
 from agent.verify.box import largest_internal_wrench
 from agent.verify.bus import buses
 from agent.verify.finding import Finding, Verdict, judged
-from agent.verify.force import internal_force
+from agent.verify.force import internal_force, mean_bound_N
 from agent.verify.margin import Damping, damping, places, sampled_loop
 from agent.verify.marks import marks
 from agent.verify.noticing import begun, learned, noticed, rested, unlearnt, unstated
@@ -212,10 +212,22 @@ def _adaptation(
             "set rotor_inertia = false, begin nearer to the configured parameters, or raise rate_hz",
         ),
     )  # fmt: skip
-    force, moment = largest_internal_wrench(cell, models, along[::every], instants[::every])
-    size = f"≤ {force:.3g} N, {moment:.3g} N·m, " + (f"leak {spec.leak_per_s:g}/s" if spec.leak_per_s else "no leak")
-    box = Finding("internal wrench within the bounds of the estimates", "cell", size, "")
+    box = _box(cell, *largest_internal_wrench(cell, models, along[::every], instants[::every]))
     return [
         Finding(what, "cell", value, f"≤ {limit:.4g}", Verdict.OK if ok else Verdict.WARNING, "" if ok else remedy)
         for what, value, limit, ok, remedy in rows
     ] + [box]
+
+
+def _box(cell: Cell, force_N: float, moment_Nm: float) -> Finding:
+    """How hard arms press whose estimates are at their bounds, where they drift to without a leak."""
+    leak, most_N = cell.file.controller.adaptive.leak_per_s, mean_bound_N(cell)
+    what, size = "internal wrench within the bounds of the estimates", f"≤ {force_N:.3g} N, {moment_Nm:.3g} N·m"
+    if leak:
+        return Finding(what, "cell", f"{size}, leak {leak:g}/s", "")
+    return judged(
+        what, "cell", f"{size}, no leak", f"≤ {most_N:g} N, or a leak", holds=force_N <= most_N,
+        otherwise=Verdict.WARNING,
+        remedy="set controller.adaptive.leak_per_s (4, say), or narrower bounds: estimates of arms that disagree drift "
+        "apart until they are at their bounds",
+    )  # fmt: skip

@@ -31,7 +31,6 @@ from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.loop import laws
 from drivers.interface import Vector
 
-MEAN_PLANAR_N, MEAN_SPATIAL_N = 1.0, 4.0  # of the internal force of a run, what a cell should live with
 MEAN_SHARE = 0.5  # of the quadratic sum, what the mean of a run may be
 _FORCE, _MOMENT = slice(0, 3), slice(3, 6)
 
@@ -50,11 +49,6 @@ class _Errors:
 
     off: Matrix  # (m, s) δ
     wrench: Matrix  # (m, t) J⁻ᵀ Δτ
-
-
-def mean_bound_N(cell: Cell) -> float:
-    """Internal force that no run should exceed in its mean."""
-    return MEAN_PLANAR_N if cell.planar else MEAN_SPATIAL_N
 
 
 def disagreement(

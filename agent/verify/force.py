@@ -17,6 +17,12 @@ from agent.verify.finding import Finding, Verdict, judged
 
 OUT_OF_TASK: Final = 1e-9  # part of a wrench
 STEPS: Final = 48  # along the motion
+MEAN_PLANAR_N, MEAN_SPATIAL_N = 1.0, 4.0  # of the internal force of a run, what a cell should live with
+
+
+def mean_bound_N(cell: Cell) -> float:
+    """Internal force that no run should exceed in its mean."""
+    return MEAN_PLANAR_N if cell.planar else MEAN_SPATIAL_N
 
 
 def carried_N(cell: Cell) -> list[float]:

@@ -17,9 +17,9 @@ from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
 from agent.verify.criterion.examine import Criterion, Found, examine
-from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, mean_bound_N, start_off
+from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, start_off
 from agent.verify.finding import Finding, Verdict, judged
-from agent.verify.force import spare_N
+from agent.verify.force import mean_bound_N, spare_N
 from agent.verify.one_fails import described, judged_alone
 from agent.verify.support import Statics, Support
 from drivers.interface import Vector

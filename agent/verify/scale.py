@@ -65,14 +65,15 @@ class Scale:
 
 
 def _scaled(value: float, factor: float, most: float) -> float:
-    return value if factor == 1.0 or value == 0.0 else min(_rounded_down(value * factor), most)
+    return value if factor == 1.0 or value == 0.0 else min(rounded_down(value * factor), most)
 
 
 def _times(values: Sequence[float], factor: float) -> tuple[float, float, float]:
-    a, b, c = (x if factor == 1.0 else _rounded_down(x * factor) for x in values)
+    a, b, c = (x if factor == 1.0 else rounded_down(x * factor) for x in values)
     return a, b, c
 
 
-def _rounded_down(x: float) -> float:
+def rounded_down(x: float) -> float:
+    """To what a proposal prints."""
     unit = 10.0 ** (math.floor(math.log10(x)) + 1 - DIGITS)
     return float(f"{math.floor(x / unit + 1e-9) * unit:.{DIGITS}g}")

@@ -17,7 +17,7 @@ from __future__ import annotations
 import enum
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -26,17 +26,20 @@ import numpy as np
 from agent.config import observer
 from agent.config.cell import Cell, cell_from_toml, placement
 from agent.config.edit import Change, apply
+from agent.config.schema.controller import ControllerKind
 from agent.control.errors import Gains
 from agent.control.estimator import Observer
 from agent.control.models import ArmModel
+from agent.verify.adaptive import examine_adaptation
 from agent.verify.chatter import Shaking
 from agent.verify.check import reach, start_configurations
 from agent.verify.criterion.cases import Loop
 from agent.verify.criterion.examine import STABLE, Criterion, examine
+from agent.verify.lowering import descend, k_v_factors
 from agent.verify.margin import Damping, Place, damping, damping_at, places, sampled_loop
 from agent.verify.proposed import changed
 from agent.verify.robustness import Walk, loop_of, poses, ranges_of
-from agent.verify.scale import Scale
+from agent.verify.scale import Scale, rounded_down
 from agent.verify.stiffest import Search, Wanted, binding, scaled
 from agent.verify.tune_refusal import NoGains, less, looked_at, too_late
 from agent.verify.usual_gains import PLANAR, SPATIAL
@@ -46,8 +49,7 @@ PLACES: Final = 12  # along the trajectory
 POSE_MAX: Final = 2.0  # k_p and k_eps are not proposed above this, relative to the configured ones
 POSE_FLOORS: Final = (0.5, 0.1)  # nor below the first, unless no k_v keeps the margin with them, nor ever the second
 RATE_RANGE: Final = (0.05, 1.0)
-STEP: Final = 0.93  # between gains that are tried; the last one is refined
-K_V_FACTORS: Final = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
+ELSEWHERE: Final = 0.9  # of the largest adaptation gains at these places, for others
 
 
 class Form(enum.StrEnum):
@@ -143,7 +145,7 @@ class Tuner:
             own = loop_of(self.cell)
             begin = own if stable else _usual(self.cell, own)
             return self._proposal(form, self._stiffest(margin, begin), from_usual=not stable)
-        for floor, (linear, angular) in itertools.product(POSE_FLOORS, _k_v_factors()):
+        for floor, (linear, angular) in itertools.product(POSE_FLOORS, k_v_factors()):
             found = self._largest(form, margin, floor, Scale(k_v_linear=linear, k_v_angular=angular))
             if found is not None:
                 return self._proposal(form, scaled(loop_of(self.cell), found))
@@ -169,9 +171,28 @@ class Tuner:
 
     def _proposal(self, form: Form, loop: Loop, *, from_usual: bool = False) -> Proposal:
         changes = tuple(changed(self.cell, loop.gains, loop.observer))
-        text = apply(self.cell.toml.decode(), changes)
-        proposed = cell_from_toml(text.encode(), f"the gains proposed for {self.cell.file.name}")
+        proposed = self._with(changes)
+        slower = tuple(self._slower_to_learn(proposed))
+        if slower:
+            changes += slower
+            proposed = self._with(changes)
         return Proposal(form, self.configured(), self._examined(proposed), changes, from_usual)
+
+    def _with(self, changes: Sequence[Change]) -> Cell:
+        text = apply(self.cell.toml.decode(), changes)
+        return cell_from_toml(text.encode(), f"the gains proposed for {self.cell.file.name}")
+
+    def _slower_to_learn(self, proposed: Cell) -> Iterator[Change]:
+        """Adaptation gains that `coop check` finds too large beside these gains, as large as they may be."""
+        if proposed.file.controller.kind is not ControllerKind.ADAPTIVE:
+            return
+        spec = proposed.file.controller.adaptive
+        most = examine_adaptation(proposed, self._models, self._along, _instants(self.cell))
+        for key, value, limit in (
+            ("gamma", spec.gamma, most.gamma_max), ("gamma_object", spec.gamma_object, most.gamma_object_max)
+        ):  # fmt: skip
+            if value > ELSEWHERE * limit:
+                yield Change("controller.adaptive", key, f"{rounded_down(ELSEWHERE * limit)!r}")
 
     def _stiffest(self, margin: Margin, loop: Loop) -> Loop:
         """By the criterion of `coop check`, no noisier than this loop.  Raises NoGains, naming what binds."""
@@ -221,11 +242,11 @@ class Tuner:
             return self._keeps([scale.of(g) for g in self._gains], margin)
 
         if form is Form.RATIO:
-            pose = _descend(lambda x: keeps(replace(base, pose=x)), floor, POSE_MAX)
+            pose = descend(lambda x: keeps(replace(base, pose=x)), floor, POSE_MAX)
             return None if pose is None else replace(base, pose=pose)
         for pose in (1.0, 0.7, floor):
             at = replace(base, pose=pose)
-            rate = _descend(lambda x, at=at: keeps(replace(at, rate=x)), *RATE_RANGE)  # type: ignore[misc]
+            rate = descend(lambda x, at=at: keeps(replace(at, rate=x)), *RATE_RANGE)  # type: ignore[misc]
             if rate is not None:
                 return replace(at, rate=rate)
         return None
@@ -257,7 +278,7 @@ def _walk(cell: Cell, models: Sequence[ArmModel]) -> list[list[Vector]]:
     motion = cell.trajectory()
     q = list(start_configurations(cell, models))
     along = []
-    for t in np.linspace(0.0, min(motion.period_s, cell.file.duration_s), 4 * PLACES)[::4].tolist():
+    for t in _instants(cell):
         desired = motion.at(t)
         T = placement(desired.p, desired.quat)
         q = [reach(a, m, T, q_i, f"at t = {t:.2f} s") for a, m, q_i in zip(cell.arms, models, q, strict=True)]
@@ -265,25 +286,8 @@ def _walk(cell: Cell, models: Sequence[ArmModel]) -> list[list[Vector]]:
     return along
 
 
-def _k_v_factors() -> list[tuple[float, float]]:
-    """Factors of k_v, (translation, rotation): all of it first, then the pair that takes the least away."""
-    pairs = [(linear, angular) for linear in K_V_FACTORS for angular in K_V_FACTORS]
-    return sorted(pairs, key=lambda pair: (-pair[0] * pair[1], -pair[0]))
-
-
-def _descend(keeps: Callable[[float], bool], lowest: float, highest: float) -> float | None:
-    """The largest x in the range that keeps the margin, to a thousandth; None when none does."""
-    above, x = None, highest
-    while not keeps(x):
-        above, x = x, x * STEP
-        if x < lowest:
-            return None
-    if above is None:
-        return x
-    for _ in range(6):
-        middle = 0.5 * (x + above)
-        if keeps(middle):
-            x = middle
-        else:
-            above = middle
-    return x
+def _instants(cell: Cell) -> list[float]:
+    """Of those places, s."""
+    end_s = min(cell.trajectory().period_s, cell.file.duration_s)
+    times: list[float] = np.linspace(0.0, end_s, 4 * PLACES)[::4].tolist()
+    return times

@@ -10,8 +10,10 @@ from agent.config.cell import Cell, load_cell
 from agent.control import adaptive
 from agent.control.adaptation import Estimate
 from agent.control.trajectory import Desired
+from agent.verify import check
 from agent.verify.box import largest_internal_wrench, largest_norm
 from agent.verify.check import examine, start_configurations
+from agent.verify.finding import Verdict
 from drivers.interface import Vector
 
 ADAPTIVE = configs.CELLS_DIR / "paper_adaptive.toml"
@@ -72,4 +74,11 @@ def test_check_says_it_of_an_adaptive_cell(leak: float, said: str) -> None:
     report = examine(load_cell(ADAPTIVE, (f"controller.adaptive.leak_per_s={leak}",)))
     (line,) = (f for f in report.findings if f.what == "internal wrench within the bounds of the estimates")
     assert said in line.found
+    assert line.verdict is (Verdict.OK if leak else Verdict.WARNING), "without a leak they drift that far apart"
     assert 10.0 < float(line.found.removeprefix("≤ ").split(" N")[0]) < 60.0
+
+
+def test_bounds_that_allow_little_need_no_leak() -> None:
+    cell = load_cell(ADAPTIVE, ("controller.adaptive.leak_per_s=0.0",))
+    verdicts = [check._box(cell, force_N, 9.0).verdict for force_N in (0.99, 1.01)]
+    assert verdicts == [Verdict.OK, Verdict.WARNING]

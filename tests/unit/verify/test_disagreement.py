@@ -20,10 +20,10 @@ from agent.verify.disagreement import (
     _turn,
     _wrenches,
     disagreement,
-    mean_bound_N,
     start_off,
 )
 from agent.verify.finding import Finding, Verdict
+from agent.verify.force import mean_bound_N
 from agent.verify.robustness import Walk, poses, robustness
 from tests.support.arm_files import with_figures
 from tests.support.control.criterion_cells import cell_of, gentle

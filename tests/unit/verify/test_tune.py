@@ -21,7 +21,7 @@ from agent.config import observer
 from agent.config.cell import Cell, cell_from_toml, load_cell, placement
 from agent.control import ik, known
 from agent.control.estimator import Observer
-from agent.verify import stiffest, tune
+from agent.verify import lowering, stiffest, tune
 from agent.verify.chatter import Shaking, forgetting
 from agent.verify.check import Verdict, examine
 from agent.verify.proposed import OBSERVER_KEYS
@@ -219,7 +219,7 @@ def test_a_k_v_that_no_gain_can_make_up_for_is_lowered_for_rotation_alone() -> N
 
 
 def test_no_gains_are_refused_with_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tune, "K_V_FACTORS", (1.0, 0.1))  # the ends of what is tried
+    monkeypatch.setattr(lowering, "K_V_FACTORS", (1.0, 0.1))  # the ends of what is tried
     tuner = Tuner(ideal("rate_hz=20.0", "simulation.substeps_per_cycle=9"))
     with pytest.raises(NoGains, match=r"at 20 Hz: found none.*damping of at least 0\.4; raise rate_hz"):
         tuner.proposals(Margin(damping=0.4))
@@ -394,6 +394,22 @@ def test_the_search_begins_with_the_configured_gains_where_they_are_stable(monke
     assert found.before.criterion.radius < 1.0
     assert not found.from_usual
     assert max(found.after.noise_Nm) <= 1.001 * max(found.before.noise_Nm)
+
+
+@pytest.mark.parametrize("key", ["gamma", "gamma_object"])
+def test_adaptation_gains_that_are_too_large_beside_new_ones_are_lowered_with_them(
+    key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stiffest, "TRIES", 20)
+    wide = Margin(worst=0.9999)
+    fast = load_cell(Path("paper_adaptive"), [f"controller.adaptive.{key}=1e3"])
+    found = Tuner(fast).propose(Form.REALITY, wide)
+    (change,) = (c for c in found.changes if c.table == "controller.adaptive")
+    told = {f.what: f for f in examine(cell_from_toml(found.toml().encode(), "again")).findings}
+    assert (change.key, told[key].verdict) == (key, Verdict.OK)
+    assert float(change.toml) > 0.5 * float(told[key].wanted.removeprefix("≤ ")), "and by no more than is needed"
+    slow = Tuner(load_cell(Path("paper_adaptive"))).propose(Form.REALITY, wide)
+    assert not [c for c in slow.changes if c.table == "controller.adaptive"]
 
 
 def test_a_delay_of_more_cycles_than_are_looked_at_is_told_with_how_much_is_enough(shortly: None) -> None:
