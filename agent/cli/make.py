@@ -157,8 +157,11 @@ def _wish(
             "object", found="no mass" if mass is None else "no size", expected="--mass KG and --size X,Y,Z",
             remedy="give both",
         )  # fmt: skip
-    moments = None if inertia is None else vector(inertia, "--inertia")
-    thing = ObjectWish(mass, vector(size, "--size"), ShapeKind(shape.value), moments)
+    sides, moments = vector(size, "--size"), None if inertia is None else vector(inertia, "--inertia")
+    for option, text, values in (("--mass", f"{mass:g}", (mass,)), ("--size", size, sides)):
+        if not min(values) > 0.0:
+            raise WishError(option, found=text, expected="above 0", remedy="kg and m")
+    thing = ObjectWish(mass, sides, ShapeKind(shape.value), moments)
     return Wish(called, arm_wishes(arms), thing, motion, height, rate)
 
 

@@ -181,7 +181,8 @@ def validate(model: type[M], document: Mapping[str, Any], source: str) -> M:
         return model.model_validate(document)
     except ValidationError as error:
         problems = _without_misspelt(model, [dict(problem) for problem in error.errors()])
-        found = [ConfigError(f"{_place(document, p)} in {source}", **_explain(model, p)) for p in problems]
+        every = [ConfigError(f"{_place(document, p)} in {source}", **_explain(model, p)) for p in problems]
+        found = list({str(one): one for one in every}.values())  # a number that stands for three is wrong once
         raise (WrongKeys(found) if len(found) > 1 else found[0]) from error
 
 
@@ -210,8 +211,8 @@ def _place(document: Any, problem: dict[str, Any]) -> str:
     """Where in the file the problem is: keys, and the names of arms and joints instead of their numbers."""
     node, parts = document, []
     for part in problem["loc"]:
-        if isinstance(node, dict) and part not in node and node.get("kind") == part:
-            continue  # which of several kinds of table, which is no key
+        if (isinstance(node, dict) and part not in node and node.get("kind") == part) or isinstance(node, (int, float)):
+            continue  # which of several kinds of table, or of three that one number stands for: that is no key
         inside = node[part] if _has(node, part) else None
         named = inside.get("name") if isinstance(part, int) and isinstance(inside, dict) else None
         parts.append(named if isinstance(named, str) else str(part))
@@ -224,9 +225,7 @@ def _place(document: Any, problem: dict[str, Any]) -> str:
 
 
 def _has(node: Any, part: Any) -> bool:
-    if isinstance(node, list):
-        return isinstance(part, int) and part < len(node)
-    return isinstance(node, dict) and part in node
+    return part in node if isinstance(node, dict) else isinstance(node, list) and part in range(len(node))
 
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:

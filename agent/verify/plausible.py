@@ -14,13 +14,21 @@ from agent.verify.finding import Finding, Verdict, judged, refused, warning
 
 UPRIGHT_RAD = math.radians(5.0)
 GUARD_WIDE_M, GUARD_WIDE_RAD = 0.2, 1.0
+ON_EARTH_M_PER_S2 = 9.76, 9.84  # at the sea, from the equator to the poles
+BESIDE_BOX_M = 0.03  # by which a grasp may be beside the object's box: fingers are longer than they grip
+PUSH_MOST_N, PUSH_MOST_NM = 100.0, 20.0  # of a simulated push, ten times what any arm here lifts
+LONG_S = 60.0  # for one step of a session
+OFF_FAR_RAD = 1.0  # of a joint from its path
 DENSITY_MIN_KG_PER_M3, DENSITY_MAX_KG_PER_M3 = 1.0, 25_000.0  # a frame in the air, and above all metals
 INERTIA_MARGIN = 2.0  # on all the mass in the corners, of a box that is drawn too small
 
 
 def plausibility(cell: Cell) -> list[Finding]:
     """Gravity and how the arms stand in it, the object, shares, guards and ports, and what is to befall them."""
-    return [*_gravity(cell), *_object(cell), *_shares(cell), *_guards(cell), *_ports(cell), *_befalls(cell)]
+    return [
+        *_gravity(cell), *_object(cell), *_grasps(cell), *_shares(cell), *_guards(cell), *_ports(cell), *_session(cell),
+        *_befalls(cell), *_pushes(cell), *_judged(cell),
+    ]  # fmt: skip
 
 
 def _gravity(cell: Cell) -> list[Finding]:
@@ -36,7 +44,14 @@ def _gravity(cell: Cell) -> list[Finding]:
             )
         ]  # fmt: skip
     down = cell.gravity / g
-    findings = [Finding("gravity", "cell", f"{g:.4g} m/s² along {_direction(down)}", "straight down at the arms")]
+    low, high = ON_EARTH_M_PER_S2
+    findings = [
+        judged(
+            "gravity", "cell", f"{g:.4g} m/s² along {_direction(down)}", "straight down at the arms"
+            if low <= g <= high else f"{low:g} to {high:g} m/s², straight down at the arms", holds=low <= g <= high,
+            otherwise=Verdict.WARNING, remedy="right on another planet; else correct world.gravity_m_per_s2",
+        )
+    ]  # fmt: skip
     for arm in cell.arms:
         tilt = math.acos(max(-1.0, min(1.0, -float(arm.T_world_base.rotation[:, 2].dot(down)))))
         findings.append(
@@ -73,12 +88,88 @@ def _object(cell: Cell) -> list[Finding]:
     return [found for found in findings if found.verdict is not Verdict.OK]
 
 
+def _grasps(cell: Cell) -> list[Finding]:
+    """Warn of grasps where the object's box is not."""
+    half = np.array(cell.file.object.size_m) / 2.0
+    beside = [float(np.linalg.norm(np.maximum(np.abs(a.entry.p_object_ee_m) - half, 0.0))) for a in cell.arms]
+    return [
+        warning(
+            "grasp beside the object", arm.name, f"{m * 1e3:.3g} mm outside its box", f"≤ {BESIDE_BOX_M * 1e3:g} mm",
+            "correct p_object_ee_m (object axes, from its centre), or object.size_m",
+        )
+        for arm, m in zip(cell.arms, beside, strict=True)
+        if m > BESIDE_BOX_M
+    ]  # fmt: skip
+
+
+def _session(cell: Cell) -> list[Finding]:
+    """Warn of steps that take minutes, and of joints that may be far from their path or never yield on it."""
+    session = cell.file.session
+    if session is None:
+        return []
+    slow = {key: getattr(session, key) for key in ("lift_s", "lower_s", "ease_s", "take_up_s", "start_blend_s")}
+    found = [
+        warning(
+            f"session.{key}", "cell", f"{x:g} s", f"≤ {LONG_S:g} s", "seconds are meant; right where it is to crawl"
+        )
+        for key, x in slow.items()
+        if x > LONG_S
+    ]
+    if session.off_max_rad > OFF_FAR_RAD:
+        remedy = "an arm that is held up goes on that far: rad are meant; the default suits most cells"
+        found.append(
+            warning("session.off_max_rad", "cell", f"{session.off_max_rad:g} rad", f"≤ {OFF_FAR_RAD:g} rad", remedy)
+        )
+    if session.soft_rad >= session.off_max_rad:
+        remedy = "a joint that is held up stops the arm before it yields: lower soft_rad"
+        found.append(
+            warning(
+                "session.soft_rad",
+                "cell",
+                f"{session.soft_rad:g} rad",
+                f"< off_max_rad, {session.off_max_rad:g}",
+                remedy,
+            )
+        )
+    return found
+
+
+def _pushes(cell: Cell) -> list[Finding]:
+    """Warn of pushes that push nothing, or as nobody does."""
+    sizes = [(p.at_s, math.hypot(*p.force_N), math.hypot(*p.moment_Nm)) for p in cell.file.simulation.push]
+    return [
+        warning(
+            "simulated push", "cell", f"{force:g} N, {moment:g} N·m at {at_s:g} s",
+            f"above 0, up to {PUSH_MOST_N:g} N and {PUSH_MOST_NM:g} N·m", "give it force_N or moment_Nm as a hand has",
+        )
+        for at_s, force, moment in sizes
+        if force == moment == 0.0 or force > PUSH_MOST_N or moment > PUSH_MOST_NM
+    ]  # fmt: skip
+
+
+def _judged(cell: Cell) -> list[Finding]:
+    """Warn of a transient that no run of this length gets over."""
+    transient_s, end_s = cell.file.report.transient_s, cell.file.duration_s
+    if transient_s < end_s:
+        return []
+    remedy = "no error is judged: shorten report.transient_s, or let the run last longer"
+    return [warning("report.transient_s", "cell", f"{transient_s:g} s", f"before the end, {end_s:g} s", remedy)]
+
+
 def _befalls(cell: Cell) -> list[Finding]:
-    """Warn of pushes, openings and faults that no run of this length comes to."""
+    """Warn of what is to befall the cell after the end of its run, and of faults of one arm at one instant."""
     simulation, end_s = cell.file.simulation, cell.file.duration_s
     planned = [("push", one.at_s) for one in simulation.push] + [("opening", one.at_s) for one in simulation.opening]
     planned += [("fault", one.at_s) for one in simulation.fault]
+    twice = Counter((one.arm, one.at_s) for one in simulation.fault)
     return [
+        warning(
+            "simulated fault", arm, f"{count} at {at_s:g} s", "one at a time",
+            "which of them shows is left to chance: let them come one after the other",
+        )
+        for (arm, at_s), count in twice.items()
+        if count > 1
+    ] + [
         Finding(
             f"simulated {what}", "cell", f"at {at_s:g} s", f"before the end, {end_s:g} s", Verdict.WARNING,
             "it does not happen: let it come earlier, or the run last longer",

@@ -338,3 +338,15 @@ def test_no_command_is_forgotten() -> None:
         tuple(words[: 2 if words[0] in ("motors", "faults") else 1]) for words in (*READS.values(), *OTHERS.values())
     }
     assert seen == set(commands())
+
+
+@pytest.mark.parametrize(
+    ("mass", "size", "found"),
+    [("-1", "0.1,0.05,0.05", "--mass: found -1"), ("0.2", "0.1,0,0.05", "--size: found 0.1,0,0.05")],
+)
+def test_an_object_of_no_size_or_mass_is_refused_in_one_line(mass: str, size: str, found: str, tmp_path: Path) -> None:
+    arms = ("--arm", "wx200", "--arm", "wx200")
+    done = coop("new", tmp_path / "cell.toml", *arms, "--mass", mass, "--size", size)
+    assert (done.code, done.err.count("\n")) == (2, 1)
+    assert f"{found}, expected above 0" in done.err
+    assert not (tmp_path / "cell.toml").exists()

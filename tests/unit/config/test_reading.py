@@ -242,6 +242,16 @@ def test_a_refusal_is_one_line_whatever_is_in_it() -> None:
     assert text == "a b: found \ufffd[31m \ufffd, expected c d; e"
 
 
+def test_one_number_that_stands_for_three_is_wrong_once_and_by_its_key() -> None:
+    with pytest.raises(ConfigError) as one:
+        load_cell(PAPER, ["controller.k_p_per_s=1e7"])
+    assert str(one.value).startswith("controller.k_p_per_s in paper.toml")
+    with pytest.raises(ConfigError) as second:
+        load_cell(PAPER, ["controller.k_p_per_s=[1.0, -1.0, 2.0]"])
+    assert str(second.value).startswith("controller.k_p_per_s.1 in paper.toml")
+    assert "\n" not in str(one.value) + str(second.value)
+
+
 def test_all_missing_and_wrong_keys_are_named_at_once() -> None:
     text = PAPER.read_text().replace("mass_kg", "mas_kg", 1).replace("p_object_ee_m", "# p_object_ee_m", 1)
     text = text.replace("rate_hz = ", "rate_hz = -", 1).replace("load_share = 0.5", 'load_share = "half"', 1)

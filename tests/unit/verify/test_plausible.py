@@ -172,10 +172,14 @@ def test_servos_without_a_port_are_refused() -> None:
         cell_from_toml(text.replace('driver = "sim"', 'driver = "dynamixel"').encode(), "paper.toml")
 
 
+BY_A_HAND = "duration_s=1.0, force_N=[0.0, 1.0, 0.0]"
+
+
 def test_what_befalls_the_cell_behind_the_end_is_warned_of() -> None:
     changes = [
         "duration_s=20.0",
-        "simulation.push=[{at_s=19.9, duration_s=1.0, force_N=[0.0, 1.0, 0.0]}, {at_s=20.0, duration_s=1.0}]",
+        "report.transient_s=5.0",
+        f"simulation.push=[{{at_s=19.9, {BY_A_HAND}}}, {{at_s=20.0, {BY_A_HAND}}}]",
         "simulation.opening=[{at_s=25.0, arm='left'}]",
         "simulation.fault=[{kind='limp', at_s=19.9, arm='left'}, {kind='hold', at_s=20.0, arm='left'}]",
     ]
@@ -183,3 +187,45 @@ def test_what_befalls_the_cell_behind_the_end_is_warned_of() -> None:
     assert found == [
         (f"simulated {what}", "cell", f"at {at} s") for what, at in (("push", 20), ("opening", 25), ("fault", 20))
     ]
+
+
+SIZES = {
+    "grasp": ("arms.left.p_object_ee_m=[-0.06, 0.0, 0.08]", ("grasp beside the object", "left")),
+    "gravity": ("world.gravity_m_per_s2=[0.0, -1.62, 0.0]", ("gravity", "cell")),
+    "lower": ("session.lower_s=600.0", ("session.lower_s", "cell")),
+    "lift": ("session.lift_s=61.0", ("session.lift_s", "cell")),
+    "off": ("session.off_max_rad=1.01", ("session.off_max_rad", "cell")),
+    "soft": ("session.soft_rad=0.25", ("session.soft_rad", "cell")),
+    "no push": ("simulation.push=[{at_s=1.0, duration_s=1.0}]", ("simulated push", "cell")),
+    "strong": ("simulation.push=[{at_s=1.0, duration_s=1.0, force_N=[0.0, 0.0, 1e4]}]", ("simulated push", "cell")),
+    "turn": ("simulation.push=[{at_s=1.0, duration_s=1.0, moment_Nm=[0.0, 0.0, 21.0]}]", ("simulated push", "cell")),
+    "transient": ("report.transient_s=1000.0", ("report.transient_s", "cell")),
+    "faults": (
+        'simulation.fault=[{kind="limp", arm="left", at_s=1.0}, {kind="locked", arm="left", at_s=1.0}]',
+        ("simulated fault", "left"),
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "expected"), SIZES.values(), ids=list(SIZES))
+def test_what_nobody_means_is_warned_of_by_its_own_line(change: str, expected: tuple[str, str]) -> None:
+    session = ("session.lift_m=0.01",) if change.startswith("session") else ()
+    found = warnings(load_cell(PAPER, [*session, change]))
+    assert [(what, where) for what, where, _ in found] == [expected]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "arms.left.p_object_ee_m=[-0.06, 0.0, 0.0]",
+        "world.gravity_m_per_s2=[0.0, -9.78, 0.0]",
+        "session.lower_s=60.0",
+        "session.soft_rad=0.24",
+        "simulation.push=[{at_s=1.0, duration_s=1.0, force_N=[0.0, 0.0, 99.0]}]",
+        "simulation.push=[{at_s=1.0, duration_s=1.0, moment_Nm=[0.0, 0.0, 19.0]}]",
+        'simulation.fault=[{kind="limp", arm="left", at_s=1.0}, {kind="locked", arm="right", at_s=1.0}]',
+        'simulation.fault=[{kind="limp", arm="left", at_s=1.0}, {kind="locked", arm="left", at_s=1.5}]',
+    ],
+)
+def test_what_is_within_is_not_warned_of(change: str) -> None:
+    assert warnings(load_cell(PAPER, [change])) == []
