@@ -104,7 +104,8 @@ class RunProgress:
             if self._clock_s() >= self._next_line_s:
                 self._next_line_s = self._clock_s() + LINE_EVERY_S
                 so_far = f"{t_s:.1f} s of {duration_s:g} s, {speed:.1f}x real time, seen error {error}"
-                note(so_far if t_s >= 0.0 else "before the start of the trajectory")
+                beside = "before the start of the trajectory" if t_s < 0.0 else "behind the end of the trajectory"
+                note(so_far if 0.0 <= t_s <= duration_s else beside)
             return
         if self._bar is None:
             self._steps.clear()

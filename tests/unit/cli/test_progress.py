@@ -165,13 +165,15 @@ def test_a_run_without_a_terminal_says_now_and_then_where_it_is() -> None:
     assert LINE_EVERY_S == 10.0
 
 
-def test_before_the_start_no_time_of_the_trajectory_is_told(terminal: Terminal) -> None:
+def test_before_the_start_and_behind_the_end_no_time_of_the_trajectory_is_told(terminal: Terminal) -> None:
     """A session's arms go to the object first, and nobody knows when the start will be."""
     now = [0.0]
     with redirect_stderr(io.StringIO()) as shown, RunProgress(lambda: now[0]) as progress:
         now[0] = 100.0
         progress.advance(-86400.0, 100.0, -1e4, 0.0)
-    assert shown.getvalue() == "before the start of the trajectory\n"
+        now[0] = 200.0
+        progress.advance(126.8, 100.0, 0.7, 0.0)  # the arms go back to their rests
+    assert shown.getvalue() == "before the start of the trajectory\nbehind the end of the trajectory\n"
     with redirect_stderr(terminal), RunProgress() as progress:
         progress.advance(-86400.0, 100.0, -1e4, 0.0)
     assert re.search(r"running .* 0\.0 s of 100 s +0\.0x real time", "".join(lines(terminal)))
