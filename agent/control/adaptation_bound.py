@@ -127,6 +127,12 @@ def _adaptive(agent: Offline) -> Adaptation:
     return agent.adaptation
 
 
+def adaptation_matrix(model: ArmModel, agent: Offline, q: Vector, reference: ReferenceTwist, P: Matrix) -> Matrix:
+    """G (m, m) of one arm on the rows of P.  Raises TypeError unless it is adaptive."""
+    G_arm, G_object = _adaptation_matrices([model], [agent], [q], reference, P)
+    return G_arm + G_object
+
+
 def _adaptation_matrices(
     models: Sequence[ArmModel], agents: Sequence[Offline], q: Sequence[Vector], reference: ReferenceTwist, P: Matrix
 ) -> tuple[Matrix, Matrix]:

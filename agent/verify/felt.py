@@ -4,7 +4,8 @@ What pulls at the arm that stays is what each of the others feels: what its law 
 the object and for the velocity that the object lacks.  It goes through the channels of agent.control.residual, of which
 the fast one is without the wrench's own part of the last seconds and the slow one low-passed; the first arm with one
 above its limit has noticed.  The blow at the begin, friction and the other senses are left out: they mostly notice
-sooner.  An arm that aligns itself to the one that stays does so later, with no more of a pull.
+sooner.  An arm that aligns itself to the one that stays does so later, with no more of a pull.  What the estimates of
+an adaptive arm come to give beside it (`summed`) is not felt: the residual takes it for what is known.
 """
 
 from __future__ import annotations
@@ -52,6 +53,14 @@ def _low_pass(rate_per_s: float) -> Matrix:
     k = np.arange(STEPS + 1)
     part, late = -math.expm1(-rate_per_s * STEP_S), k[:, None] - k
     found: Matrix = np.where(late >= 0, part * (1.0 - part) ** np.maximum(late, 0), 0.0)
+    return found
+
+
+def summed(rates: Matrix, leak_per_s: float) -> Matrix:
+    """What comes of rates (T, STEPS + 1, m) per second that are forgotten at that rate, step by step."""
+    late = np.subtract.outer(np.arange(STEPS + 1), np.arange(STEPS + 1)) - 1  # of what comes in the step before
+    kept = np.where(late >= 0, STEP_S * np.exp(-leak_per_s * STEP_S * np.maximum(late, 0)), 0.0)
+    found: Matrix = kept @ rates
     return found
 
 

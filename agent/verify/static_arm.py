@@ -8,9 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.config.cell import Arm, Cell
+from agent.control.adaptation_bound import ReferenceTwist, adaptation_matrix
 from agent.control.errors import HALF_ANGLE
 from agent.control.law import NO_WRENCH
 from agent.control.models import ArmModel, Matrix
+from agent.control.quaternion import to_matrix
+from agent.control.trajectory import Desired
 from agent.verify.rubbing import Rubbing
 from drivers.interface import Vector
 
@@ -27,6 +30,8 @@ class StaticArm:
     g: Matrix  # (T, n)
     S: Matrix  # (m, m) stiffness of its law
     D: Matrix  # (T, m, m) what its law gives for a velocity that the object lacks, through the arm's inertia too
+    G: Matrix | None  # (T, m, m) what its estimates come to give per second and unit of e_v; None: it learns nothing
+    leak_per_s: float  # by which they forget
     KH: Matrix  # (m, m)
     load: Matrix  # (T, m) c_i W_O + f_int,i
     held: Matrix  # (T, n) what holds arm and load, which presses on its gears
@@ -60,9 +65,12 @@ class StaticArm:
         return -steep * turned, steep[..., None] * self.J_inv
 
 
-def static_arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], R: Matrix, weight: Vector) -> StaticArm:
-    """The arm with joints along[k] (n,) at every place; R: (T, 3, 3) the object's attitudes; weight: (m,) its W_O."""
+def static_arm(
+    cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], desired: Sequence[Desired], weight: Vector
+) -> StaticArm:
+    """The arm with joints along[k] (n,) where the object is desired[k]; weight: (m,) its W_O."""
     offline, P = cell.offline(arm), model.task_basis
+    R = np.reshape([to_matrix(d.quat) for d in desired], (-1, 3, 3))
     gains = offline.gains
     J = np.array([P @ model.task_basis.T @ model.jacobian(q) for q in along])
     B_inv = np.linalg.inv([model.inertia(q) for q in along])
@@ -83,6 +91,15 @@ def static_arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], R
         g=g,
         S=S,
         D=k_v + inertia @ KH_rate,
+        G=None
+        if offline.adaptation is None
+        else np.array(
+            [
+                adaptation_matrix(model, offline, q, ReferenceTwist(np.array(d.v), np.array(d.a)), P)
+                for q, d in zip(along, desired, strict=True)
+            ]
+        ),
+        leak_per_s=0.0 if offline.adaptation is None else offline.adaptation.leak_per_s,
         KH=KH,
         load=load,
         held=g + applied(Jt, load),

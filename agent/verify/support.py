@@ -17,18 +17,18 @@ joints at rest resisting by more than moving ones; in between either may happen.
 of the torque that holds arm and share (the motors of a limp arm give none), for NOT_HELD that of the largest torque.
 
 A locked arm carries itself; the others pull at it by what the desired pose moves on until they feel it
-(agent.verify.felt), but for no less than the time that is meant for noticing, and by what their law gives for the
-velocity that the object lacks, k_v + B K' H by way of the arm's inertia.  Where noticing is off they pull until they
-are held for their errors, or as far as the motion goes (agent.verify.unnoticed).  An arm that holds gives way by its
-own stiffness, and where it braces itself (agent.control.brace) by so much less as its pull back is worth, but no less
-than a locked one.
+(agent.verify.felt), but for no less than the time that is meant for noticing, by what their law gives for the
+velocity that the object lacks, k_v + B K' H by way of the arm's inertia, and by what their estimates learn of it.
+Where noticing is off they pull until they are held for their errors, or as far as the motion goes
+(agent.verify.unnoticed).  An arm that holds gives way by its own stiffness, and where it braces itself
+(agent.control.brace) by so much less as its pull back is worth, but no less than a locked one.
 """
 
 from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,8 +36,7 @@ import numpy as np
 from agent.config import coordination, noticing
 from agent.config.cell import Cell
 from agent.control.models import ArmModel, Matrix
-from agent.control.quaternion import to_matrix
-from agent.verify.felt import STEP_S, Feeling
+from agent.verify.felt import STEP_S, Feeling, summed
 from agent.verify.loads import Loads, loads, unbearable
 from agent.verify.rubbing import Rubbing
 from agent.verify.static_arm import applied, static_arm
@@ -97,8 +96,9 @@ class Statics:
         self._weight = P @ np.concatenate([-cell.file.object.mass_kg * cell.gravity, np.zeros(3)])
         each = enumerate(zip(cell.arms, models, strict=True))
         desired = [cell.trajectory().at(t) for t in instants]
-        R = np.reshape([to_matrix(d.quat) for d in desired], (-1, 3, 3))
-        self._arms = [static_arm(cell, arm, model, [q[i] for q in along], R, self._weight) for i, (arm, model) in each]
+        self._arms = [
+            static_arm(cell, arm, model, [q[i] for q in along], desired, self._weight) for i, (arm, model) in each
+        ]
         twists = np.array([d.v for d in desired])
         self._along = _units(twists[:, :3]) @ P[:, :3].T
         brace = noticing.brace(cell)
@@ -158,11 +158,16 @@ class Statics:
         """What the others give when one of them feels it, whose errors come to be left (T, A, m), and when, s."""
         if self._feeling is None:
             raise TypeError("nobody feels anything")
-        lacks = np.gradient(left, STEP_S, axis=1)
-        pulls = {i: left @ (arm := self._arms[i]).S.T + lacks @ np.swapaxes(arm.D, -1, -2) for i in others}
+        lacks, every = np.gradient(left, STEP_S, axis=1), np.arange(len(left))
+        arms = {i: self._arms[i] for i in others}
+        pulls = {i: left @ arm.S.T + lacks @ np.swapaxes(arm.D, -1, -2) for i, arm in arms.items()}
         at, when = self._feeling.until_felt([pull @ self._P for pull in pulls.values()], least_s)
-        every = np.arange(len(left))
-        return self._loads(others, -left[every, at], lacks[every, at]), tuple(when.tolist())
+        beside = {i: applied(arm.D, lacks[every, at]) for i, arm in arms.items()}
+        for i, arm in arms.items():
+            if arm.G is not None:
+                learnt = summed((lacks + left @ arm.KH.T) @ np.swapaxes(arm.G, -1, -2), arm.leak_per_s)
+                beside[i] += learnt[every, at]
+        return self._loads(others, -left[every, at], beside), tuple(when.tolist())
 
     def _until_off_track(self, errors: Matrix) -> Matrix:
         """(T, m) of the others' errors (T, A, m) in the order of time."""
@@ -206,12 +211,13 @@ class Statics:
                 break
         return np.full_like(x, math.inf)
 
-    def _loads(self, others: Sequence[int], x: Matrix, lacks: Matrix | float = 0.0) -> Loads:
-        """What the others give with the object at x (T, m), which lacks that velocity (T, m)."""
+    def _loads(self, others: Sequence[int], x: Matrix, beside: Mapping[int, Matrix] | None = None) -> Loads:
+        """What the others give with the object at x (T, m); beside: wrenches (T, m) beside what holds it there."""
         if not np.isfinite(x).all():  # no way of the object balances the weights
             return unbearable(others, len(x))
-        still = np.zeros_like(x) + lacks
-        given = {i: (arm := self._arms[i]).law(x)[0] + applied(arm.Jt @ arm.D, still) for i in others}
+        given = {i: self._arms[i].law(x)[0] for i in others}
+        for i, wrench in (beside or {}).items():
+            given[i] = given[i] + applied(self._arms[i].Jt, wrench)
         return loads({i: np.abs(tau) / self._arms[i].stall for i, tau in given.items()})
 
     def _sizes(self, x: Matrix) -> Vector:

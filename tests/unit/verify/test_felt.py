@@ -13,7 +13,7 @@ from agent.config import coordination
 from agent.config.cell import Cell, placement
 from agent.control.models import Matrix
 from agent.control.residual import Channels
-from agent.verify.felt import STEP_S, STEPS, Feeling, _turned
+from agent.verify.felt import STEP_S, STEPS, Feeling, _turned, summed
 from tests.support.control.criterion_cells import cell_of
 
 LIMITS = Channels(2.0, 0.5, 1.0, 0.2)
@@ -113,3 +113,13 @@ def test_rotation_vectors_are_those_from_the_first_attitude_on() -> None:
     quat *= rng.choice([-1.0, 1.0], (3, 5, 1))  # of either sign
     expected = [[pin.log3(x @ row[0].T) for x in row] for row in R]
     np.testing.assert_allclose(_turned(quat), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("leak", [0.0, 4.0])
+def test_what_estimates_come_to_is_the_sum_of_their_rates_less_what_they_forget(leak: float) -> None:
+    rates = np.random.default_rng(1).normal(size=(2, STEPS + 1, 3))
+    x, expected = np.zeros((2, 3)), []
+    for k in range(STEPS + 1):
+        expected.append(x)
+        x = math.exp(-leak * STEP_S) * x + STEP_S * rates[:, k]
+    np.testing.assert_allclose(summed(rates, leak), np.stack(expected, axis=1), atol=1e-9)
