@@ -145,17 +145,17 @@ def _torque(servo: ServoFound) -> Said | None:
     return Said("on already", "off", remedy) if servo.value(table.TORQUE_ENABLE) else None
 
 
-def _pose(servo: ServoFound) -> Said | None:
+def _pose(servo: ServoFound, or_else: str = "") -> Said | None:
     joint = servo.slot.joint
     if servo.slot.shadow or joint.role is JointRole.GRIPPER:
         return None
     angle, (low, high) = AngleScale(joint).angle_rad(servo.value(table.PRESENT_POSITION)), pose_range_rad(joint)
-    remedy = "move the arm there by hand before the agent is started"
+    remedy = f"move the arm there by hand before the agent is started{or_else}"
     return None if low <= angle <= high else Said(f"{angle:.3f} rad", f"{low:.3f} to {high:.3f} rad", remedy)
 
 
 def _start_pose(servo: ServoFound) -> Said | None:
-    return None if servo.slot.joint.at_rest else _pose(servo)
+    return None if servo.slot.joint.at_rest else _pose(servo, "; one that lies at its rest begins with --whole")
 
 
 def _rest_pose(servo: ServoFound) -> Said | None:
