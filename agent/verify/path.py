@@ -118,7 +118,8 @@ def arm_findings(cell: Cell, arm: Arm, path: Path) -> list[Finding]:
             remedy="stay away from stretched or folded poses",
         )
     ]  # fmt: skip
-    bound = safety.tau_max_fraction_of_stall
+    bound, remedy = safety.tau_max_fraction_of_stall, "use a stronger arm, a lighter object or a pose with less load"
+    remedy += ", or squeeze less" * any(a.entry.internal_wrench_N_Nm for a in cell.arms)
     for joint, tau, stall, room in zip(
         arm.entry.controlled, path.tau_peak, arm.tau_stall_Nm, path.limit_margin, strict=True
     ):
@@ -126,7 +127,7 @@ def arm_findings(cell: Cell, arm: Arm, path: Path) -> list[Finding]:
             judged(
                 f"torque along the trajectory, {joint}", arm.name,
                 f"{tau:.3f} N·m, {tau / stall:.0%} of stall", f"≤ {bound:.0%} of {stall:g} N·m",
-                holds=tau <= bound * stall, remedy="use a stronger arm, a lighter object or a pose with less load",
+                holds=tau <= bound * stall, remedy=remedy,
             )
         )  # fmt: skip
         findings.append(

@@ -255,7 +255,9 @@ def test_internal_wrench_above_the_grip_is_refused() -> None:
 
 
 def test_internal_wrench_above_the_torques_is_refused() -> None:
-    assert "torque along the trajectory" in refusal(with_internal("[F00.0, 0.0, 0.0, 0.0, 0.0, 0.0]"))
+    text = refusal(with_internal("[F00.0, 0.0, 0.0, 0.0, 0.0, 0.0]"))
+    assert "torque along the trajectory" in text
+    assert text.endswith("or squeeze less")
 
 
 def test_internal_wrench_out_of_the_plane_is_a_warning() -> None:
