@@ -13,7 +13,7 @@ from agent.verify.loads import Load, Loads
 from agent.verify.support import HELD_SAG_M, Fate, Support
 
 
-def judged_alone(cell: Cell, instants: Sequence[float], arm: int, found: Support) -> list[Finding]:
+def findings_of(cell: Cell, instants: Sequence[float], arm: int, found: Support) -> list[Finding]:
     """What becomes of the others and the object when this arm fails; instants: of the places, s."""
     bound, where = cell.file.safety.tau_max_fraction_of_stall, cell.arms[arm].name
     sag = f"sags by {found.sag_m * 1e3:.2g} mm" if math.isfinite(found.sag_m) else "falls"
@@ -39,7 +39,7 @@ def judged_alone(cell: Cell, instants: Sequence[float], arm: int, found: Support
     ]  # fmt: skip
 
 
-def described(cell: Cell, instants: Sequence[float], found: Support) -> dict[str, Any]:
+def document_of(cell: Cell, instants: Sequence[float], found: Support) -> dict[str, Any]:
     """The worst of each fault, what it is at every place, and what each of the others gives."""
     limp, locked, holding = (_loads(cell, instants, x) for x in (found.limp, found.locked, found.holding))
     for place, sag_m in zip(limp["along"], found.sag_along_m, strict=True):

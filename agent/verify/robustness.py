@@ -20,7 +20,7 @@ from agent.verify.criterion.examine import Criterion, Found, examine
 from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, start_off
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import mean_bound_N, spare_N
-from agent.verify.one_fails import described, judged_alone
+from agent.verify.one_fails import document_of, findings_of
 from agent.verify.support import Statics, Support
 from drivers.interface import Vector
 
@@ -71,7 +71,7 @@ class Robustness:
             "delay_margin_s": found.delay_margin_s,
             "worst": {d.name.lower(): self._case(w) for d, w in found.worst.items()},
             "one_arm_fails": {
-                arm.name: described(cell, self.instants, s) for arm, s in zip(cell.arms, self.support, strict=False)
+                arm.name: document_of(cell, self.instants, s) for arm, s in zip(cell.arms, self.support, strict=False)
             },
             "internal_wrench": {
                 arm.name: {"force_N": d.force_N, "moment_Nm": d.moment_Nm}
@@ -108,7 +108,7 @@ class Robustness:
                     remedy=f"{_MEANING[demand]}; take the gains that `coop tune` proposes, or raise rate_hz",
                 )
             )  # fmt: skip
-        failed = [f for i, s in enumerate(self.support) for f in judged_alone(cell, self.instants, i, s)]
+        failed = [f for i, s in enumerate(self.support) for f in findings_of(cell, self.instants, i, s)]
         return [*findings, self._margin(otherwise), *failed, *self._internal(), *self.reach, *_unseen(cell)]
 
     def _internal(self) -> list[Finding]:

@@ -127,16 +127,16 @@ class Statics:
         noticed_s = NOTICED_S if len(others) == 1 else NOTICED_MORE_S
         S, S_others = self._arms[failed].S, np.sum([self._arms[i].S for i in others], axis=0)
         locked_s = holding_s = tuple(math.inf for _ in x)
-        if self._feeling is not None:
-            ways = self._feeling.ways @ self._P.T
-            locked, locked_s = self._until_felt(others, ways, noticed_s)
-            holding, holding_s = self._until_felt(others, ways - self._given(S, S_others, ways), noticed_s)
+        if (feeling := self._feeling) is not None:
+            ways = feeling.ways @ self._P.T
+            locked, locked_s = self._until_felt(feeling, others, ways, noticed_s)
+            holding, holding_s = self._until_felt(feeling, others, ways - self._given(S, S_others, ways), noticed_s)
         elif self._ahead is not None:
             gone = self._until_off_track(self._ahead)
             left = self._until_off_track(self._ahead @ np.linalg.solve(S + S_others, S).T)
             locked, holding = self._loads(others, -gone), self._loads(others, -left)
         return Support(
-            noticed_s=noticed_s if self._feeling is not None else None,
+            noticed_s=noticed_s if feeling is not None else None,
             locked_s=locked_s,
             holding_s=holding_s,
             limp=self._loads(others, x),
@@ -154,14 +154,14 @@ class Statics:
         given: Matrix = (drawn - pull_N * along) @ np.linalg.inv(S + S_others).T
         return given
 
-    def _until_felt(self, others: Sequence[int], left: Matrix, least_s: float) -> tuple[Loads, tuple[float, ...]]:
+    def _until_felt(
+        self, feeling: Feeling, others: Sequence[int], left: Matrix, least_s: float
+    ) -> tuple[Loads, tuple[float, ...]]:
         """What the others give when one of them feels it, whose errors come to be left (T, A, m), and when, s."""
-        if self._feeling is None:
-            raise TypeError("nobody feels anything")
         lacks, every = np.gradient(left, STEP_S, axis=1), np.arange(len(left))
         arms = {i: self._arms[i] for i in others}
         pulls = {i: left @ arm.S.T + lacks @ np.swapaxes(arm.D, -1, -2) for i, arm in arms.items()}
-        at, when = self._feeling.until_felt([pull @ self._P for pull in pulls.values()], least_s)
+        at, when = feeling.until_felt([pull @ self._P for pull in pulls.values()], least_s)
         beside = {i: applied(arm.D, lacks[every, at]) for i, arm in arms.items()}
         for i, arm in arms.items():
             if arm.G is not None:
