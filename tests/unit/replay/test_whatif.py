@@ -129,7 +129,7 @@ def test_another_model_of_ours_may_stand_in_for_the_recorded_one(log: Path) -> N
     [
         ("rate_hz=100.0", "rate_hz: found 100, expected 200, at which the rows are"),
         ("controller.k_p=1.0", "an unknown key"),
-        ("controller.k_p_per_s=-1.0", "k_p_per_s.0 in cell.toml of run.mcap with the changes asked for "),
+        ("controller.k_p_per_s=-1.0", "controller.k_p_per_s in cell.toml of run.mcap with the changes asked for: "),
         ("nothing", "override"),
     ],
 )
