@@ -21,6 +21,7 @@ from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
 from tests.support.arm_files import sticking, with_figures
 from tests.support.control.criterion_cells import gentle
 from tests.support.control.level_wx200 import LEVEL
+from tests.support.few import few
 from tests.support.plant.limp import sag_of_limp
 
 NOTICED = "safety.noticing.enabled=true"
@@ -265,10 +266,14 @@ def test_one_that_braces_itself_asks_each_of_the_others_for_its_part_of_that_pul
     assert found.holding.most.share < found.locked.most.share
 
 
-@pytest.mark.parametrize("kind", [FaultKind.LOCKED, FaultKind.HOLD])
-@pytest.mark.parametrize(
-    ("name", "at_s"), [("two_wx200", 3.7), ("two_wx200", 4.2), ("three_wx250s", 7.0), ("paper_adaptive", 5.5)]
-)
+STAYING = [
+    (name, at_s, kind)
+    for name, at_s in (("two_wx200", 3.7), ("two_wx200", 4.2), ("three_wx250s", 7.0), ("paper_adaptive", 5.5))
+    for kind in (FaultKind.LOCKED, FaultKind.HOLD)
+]
+
+
+@pytest.mark.parametrize(("name", "at_s", "kind"), few(STAYING, (STAYING[0], STAYING[7]).__contains__))
 def test_what_the_plant_asks_of_the_others_until_they_notice_is_about_what_is_said(
     name: str, at_s: float, kind: FaultKind
 ) -> None:

@@ -375,11 +375,9 @@ def usual_proposal() -> Proposal:
     return Tuner(load_cell(WX200, [*changes, AT_REST])).propose(Form.REALITY, FEW)
 
 
-@pytest.mark.parametrize("changes", UNSTABLE.values(), ids=list(UNSTABLE))
-def test_unstable_gains_say_nothing_of_the_noise_that_is_wanted_nor_of_what_is_found(
-    changes: tuple[str, ...], shortly: None
-) -> None:
-    usual, found = usual_proposal(), Tuner(load_cell(WX200, [*changes, AT_REST])).propose(Form.REALITY, FEW)
+@pytest.mark.parametrize("wrong", few(UNSTABLE, ("k_p", "observer").__contains__))
+def test_unstable_gains_say_nothing_of_the_noise_that_is_wanted_nor_of_what_is_found(wrong: str, shortly: None) -> None:
+    usual, found = usual_proposal(), Tuner(load_cell(WX200, [*UNSTABLE[wrong], AT_REST])).propose(Form.REALITY, FEW)
     assert found.from_usual
     assert found.before.criterion.radius >= 1.0
     proposed = cell_from_toml(found.toml().encode(), "again")
