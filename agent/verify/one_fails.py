@@ -56,7 +56,7 @@ def _fought(cell: Cell, instants: Sequence[float], load: Load, after_s: Sequence
     told = _loaded(cell, instants, load)
     if after_s is not None:
         at_s = after_s[load.place]
-        return f"{told}, {'not noticed by then' if math.isinf(at_s) else f'noticed after {at_s:.2g} s'}"
+        return f"{told}, {'not noticed by then' if math.isinf(at_s) else f'noticed after about {at_s:.2g} s'}"
     safety, off = cell.file.safety, "noticing is off: the others fight it until"
     mm, mrad = safety.tracking_error_max_m * 1e3, safety.tracking_error_max_rad * 1e3
     if load.share > (bound := safety.tau_max_fraction_of_stall):

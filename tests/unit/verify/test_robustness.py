@@ -60,7 +60,7 @@ def test_a_locked_arm_is_judged_by_the_time_until_it_is_noticed_which_is_said() 
     report = looked_at(cell_of, "paper_real")
     for what in ("this arm locked", "this arm holding"):
         found = of_left(report)[what]
-        assert re.search(r"% of stall \(right [a-z_]+, t = [0-9.]+ s\), noticed after [0-9.]+ s$", found.found)
+        assert re.search(r"% of stall \(right [a-z_]+, t = [0-9.]+ s\), noticed after about [0-9.]+ s$", found.found)
         assert found.verdict is Verdict.OK
 
 
