@@ -333,8 +333,9 @@ def test_an_arm_that_is_not_there_and_an_empty_window_are_refused(tmp_path: Path
     path = write_run(tmp_path / "run.mcap", paper(), {"left": eventful()})
     with pytest.raises(ReplayError, match="expected left or right"):
         verified(path, arm="middle")
-    with pytest.raises(ReplayError, match=r"nothing to replay in .*no row from there on.*begin earlier"):
-        verified(path, Window(from_s=1e6))
+    for beyond in (Window(from_s=1e6), Window(from_row=10**6)):
+        with pytest.raises(ReplayError, match=r"nothing to replay in .*no row from there on.*begin earlier"):
+            verified(path, beyond)
     with pytest.raises(ReplayError, match=r"nothing to replay of right in .*no row at all.*name another arm"):
         verified(path, arm="right")
 
