@@ -28,7 +28,7 @@ from agent.report.plotting import (
     time_axis,
 )
 from agent.report.prepared import Prepared
-from agent.report.series import Array, column, component, duration, joint_columns
+from agent.report.series import Array, column, component, durations, joint_columns
 
 LABELS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
 NAMED_AT: Final = (0.02, 0.6, 0.2, 0.06)  # the fraction at which the curve of each duration is named
@@ -48,7 +48,7 @@ MOVING_GROUPS: Final = 3  # of the groups of joints, those before breakaway and 
 
 def late_arms(run: Prepared) -> list[RunArm]:
     """The arms with a cycle that began late; none in lockstep simulation, where time waits."""
-    return [arm for arm in run.arms if np.any(duration(run.rows[arm.name], "late_s") > 0.0)]
+    return [arm for arm in run.arms if np.any(durations(run.rows[arm.name])["late_s"] > 0.0)]
 
 
 @styled
@@ -60,8 +60,9 @@ def loop_timing(run: Prepared) -> Figure:
     tail = axes[0]
     named: set[str] = set()
     for i, arm in enumerate(run.arms):
+        took = durations(run.rows[arm.name])
         for j, (name, label) in enumerate(LABELS.items()):
-            x, fraction = tail_of(1e3 * duration(run.rows[arm.name], name))
+            x, fraction = tail_of(1e3 * took[name])
             if len(x):
                 (curve,) = tail.plot(x, fraction, color=CYCLE[j], linestyle=STYLES[i % len(STYLES)])
                 if label not in named:
@@ -81,7 +82,7 @@ def loop_timing(run: Prepared) -> Figure:
 def _lateness(ax: Axes, run: Prepared) -> None:
     for i, arm in enumerate(run.arms):
         rows, colour = run.rows[arm.name], CYCLE[i % len(CYCLE)]
-        t, late, style = column(rows, "t"), 1e3 * duration(rows, "late_s"), STYLES[i % len(STYLES)]
+        t, late, style = column(rows, "t"), 1e3 * durations(rows)["late_s"], STYLES[i % len(STYLES)]
         line(ax, t, late, color=colour, linestyle=style, label=arm.name, linewidth=0.8, clip_on=False)
     ax.set(ylabel="began late [ms]", title="Lateness of each cycle")
     ax.set_ylim(bottom=0.0)

@@ -27,11 +27,10 @@ from agent.report.results import (
     WrenchSize,
 )
 from agent.report.series import (
-    DURATIONS,
     Array,
     column,
     component,
-    duration,
+    durations,
     going_on,
     grasp_force,
     joint_columns,
@@ -104,7 +103,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
     period_s = 1.0 / info.rate_hz
     e_eta, lyapunov, flags = column(rows, "e_eta"), column(rows, "lyapunov"), whole["flags"]
     signs = np.sign(e_eta[np.isfinite(e_eta) & (e_eta != 0.0)])
-    took = {f: duration(whole, f) for f in DURATIONS}
+    took = durations(whole)
     sent = joint_columns(whole, "tau_sent", len(arm.joints))
     late = took["late_s"]
     return ArmResults(

@@ -141,15 +141,15 @@ def is_stale(rows: Table) -> NDArray[np.bool_]:
     return np.asarray(rows["flags"] & Flag.STALE.value != 0)
 
 
-def duration(rows: Table, name: str) -> Array:
-    """One of DURATIONS, `(k,)` s; NaN where nothing was measured.
+def durations(rows: Table) -> dict[str, Array]:
+    """DURATIONS, each `(k,)` s; NaN where nothing was measured.
 
     Earlier releases left those of the row before it in a row without a fresh state: such a copy is no measurement.
     """
-    took = np.stack([column(rows, each) for each in DURATIONS])
+    took = np.stack([column(rows, name) for name in DURATIONS])
     copied = np.zeros(len(rows), dtype=bool)
     copied[1:] = is_stale(rows)[1:] & (took[:, 1:] == took[:, :-1]).all(axis=0)
-    return np.where(copied, np.nan, took[DURATIONS.index(name)])
+    return dict(zip(DURATIONS, np.where(copied, np.nan, took), strict=True))
 
 
 def pose_by_arm(name: str, rows: Table) -> PoseSeries:

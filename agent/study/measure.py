@@ -110,10 +110,7 @@ class _Seen:
     def __init__(self, lab: Laboratory) -> None:
         self._lab, self._anchor = lab, lab.cell.anchor
         self._trajectory = lab.cell.trajectory()
-        wanted = asked_of_all(*lab.cell.internal_wrenches_desired())
-        self._asked_N = [np.array(wrench[:3]) for wrench in wanted]  # object axes
-        P = lab.cell.model(lab.cell.arms[0]).task_basis[:, :3]
-        self._in_task = P.T @ P  # arms of a plane give nothing out of it
+        self._asked_N = _asked_N(lab.cell)
         self._errors: list[tuple[float, float, float, float, float]] = []  # t, errors, errors of what the anchor sees
         self._quat: list[Vector] = []
         self._wrench: list[Vector] = []
@@ -189,8 +186,21 @@ class _Seen:
             return np.zeros(0)
         quat = np.array(self._quat)
         found = internal_wrenches(np.array(self._wrench), quat, None)[:, :, :3]
-        asked = np.stack([rotate(quat, force) for force in self._asked_N], axis=1)
-        return largest_force(np.linalg.norm(found - asked @ self._in_task, axis=2))
+        if self._asked_N is not None:
+            found = found - np.stack([rotate(quat, force) for force in self._asked_N], axis=1)
+        return largest_force(np.linalg.norm(found, axis=2))
+
+
+def _asked_N(cell: Cell) -> list[Vector] | None:
+    """What each arm is to press by, N, object axes; None where no squeeze is asked for.
+
+    Arms of a plane give nothing out of it, wherever the object has turned in it.
+    """
+    if not any(arm.entry.internal_wrench_N_Nm for arm in cell.arms):
+        return None
+    P, R = cell.model(cell.arms[0]).task_basis[:, :3], cell.T_world_object_start.rotation
+    in_task = R.T @ P.T @ P @ R
+    return [in_task @ wrench[:3] for wrench in asked_of_all(*cell.internal_wrenches_desired())]
 
 
 def gave_up(tripped_s: float | None, first_fault_s: float | None) -> bool:

@@ -1,4 +1,4 @@
-"""Whether the motion itself stays within what holds the arms: one that does not ends as it begins, and is warned of.
+"""Whether the motion itself stays within what holds the arms; where it does not, they hold before it has been carried.
 
 What the arms do as the files say is compared with the bounds of their monitors and with `safety.tracking_error_max_*`,
 which half a step of every encoder must not reach.  Real arms are refused: they would hold an object in mid-air.
@@ -16,7 +16,7 @@ from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
 from agent.control.models import ArmModel
 from agent.monitors.bounds import Bounds, Name
-from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.finding import Finding, Verdict
 from agent.verify.path import Path
 from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.interface import Vector
@@ -44,11 +44,11 @@ def asked(
     """
     found = [x for arm, b, path in zip(cell.arms, each, paths, strict=True) for x in _of_arm(cell, arm.name, b, path)]
     found += [*_box(cell, each[0], instants), *_seen(cell, models, paths)]
-    otherwise = Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING
+    verdict = Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING
     return [
-        judged(
-            f"motion against monitors: {x.what}", x.where, f"{x.takes:.3g} {x.unit}",
-            f"≤ {x.most:.3g}", holds=False, otherwise=otherwise, remedy=x.remedy,
+        Finding(
+            f"motion against monitors: {x.what}", x.where, f"{x.takes:.3g} {x.unit}", f"≤ {x.most:.3g}", verdict,
+            x.remedy,
         )
         for x in found
         if not x.takes <= x.most

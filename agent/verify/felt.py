@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from agent.config.cell import Cell
 from agent.control.models import Matrix
 from agent.control.residual import Residual
+from agent.verify.ahead import ahead
 from drivers.interface import Vector
 
 STEP_S: Final = 0.05
@@ -33,7 +34,10 @@ class Feeling:
         own, base, slow = (_low_pass(rate) for rate in (residual.rate_per_s, residual.base_per_s, residual.slow_per_s))
         self._channels = np.stack([own - base @ own, slow @ own])[:, None, None]
         self._most = np.reshape(residual.limits, (2, 1, 1, 1, 2))
-        self.ways = _ways(cell, instants)  # (T, STEPS + 1, 6) m and rotation vectors
+        last = math.floor(cell.file.duration_s / STEP_S)
+        begin = np.minimum(np.round(np.array(instants) / STEP_S), last)
+        steps = np.minimum(begin[:, None] + np.arange(STEPS + 1), last)  # of one grid, so that places share instants
+        self.ways = ahead(cell, STEP_S * steps)  # (T, STEPS + 1, 6) m and rotation vectors
 
     def until_felt(self, pulls: Sequence[Matrix], least_s: float) -> tuple[NDArray[np.intp], Vector]:
         """(T,) at which step it is felt, but no sooner than so long after, and after which time, s.
@@ -68,24 +72,3 @@ def _sizes(wrenches: Matrix) -> Matrix:
     """(…, 2) N, N·m of wrenches (…, 6)."""
     found: Matrix = np.linalg.norm(np.reshape(wrenches, (*wrenches.shape[:-1], 2, 3)), axis=-1)
     return found
-
-
-def _ways(cell: Cell, instants: Sequence[float]) -> Matrix:
-    motion, last = cell.trajectory(), math.floor(cell.file.duration_s / STEP_S)
-    begin = np.minimum(np.round(np.array(instants) / STEP_S).astype(int), last)
-    every = np.minimum(begin[:, None] + np.arange(STEPS + 1), last)
-    needed, of = np.unique(every, return_inverse=True)
-    desired = [motion.at(k * STEP_S) for k in needed.tolist()]
-    p, quat = (np.array([d[part] for d in desired])[np.reshape(of, every.shape)] for part in (0, 1))
-    return np.concatenate([p - p[:, :1], _turned(quat)], axis=-1)
-
-
-def _turned(quat: Matrix) -> Matrix:
-    """Rotation vectors (T, A, 3) from the first attitude of every row (T, A, 4) on."""
-    w, v = quat[..., :1], quat[..., 1:]
-    w_0, v_0 = w[:, :1], v[:, :1]
-    along, cosine = w_0 * v - w * v_0 - np.cross(v, v_0), w * w_0 + np.sum(v * v_0, axis=-1, keepdims=True)
-    sine = np.linalg.norm(along, axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, np.abs(cosine)) * np.sign(cosine)
-    turned: Matrix = np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0) * along
-    return turned

@@ -40,7 +40,7 @@ def carried_N(cell: Cell) -> list[float]:
 
 
 def spare_N(cell: Cell, most_N: float) -> list[float]:
-    """What every grip may bear beside that, N, as far as it is stated; at most so much."""
+    """What every grip may bear beside what it carries, N: at most so much, and all of it where no grip is stated."""
     grips = (arm.entry.grip_force_max_N for arm in cell.arms)
     each = zip(grips, carried_N(cell), strict=True)
     return [most_N if grip is None else min(most_N, max(0.0, grip - carried)) for grip, carried in each]

@@ -1,4 +1,4 @@
-"""One arm of a cell at many places, as its statics see it: weights, the stiffness of its law, friction."""
+"""One arm of a cell at many places: its weights, what its law and its estimates give for errors, its friction."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.control.adaptation_bound import ReferenceTwist, adaptation_matrix
 from agent.control.errors import HALF_ANGLE
-from agent.control.law import NO_WRENCH
+from agent.control.law import NO_WRENCH, Offline
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import to_matrix
 from agent.control.trajectory import Desired
@@ -91,14 +91,7 @@ def static_arm(
         g=g,
         S=S,
         D=k_v + inertia @ KH_rate,
-        G=None
-        if offline.adaptation is None
-        else np.array(
-            [
-                adaptation_matrix(model, offline, q, ReferenceTwist(np.array(d.v), np.array(d.a)), P)
-                for q, d in zip(along, desired, strict=True)
-            ]
-        ),
+        G=_learnt(model, offline, along, desired),
         leak_per_s=0.0 if offline.adaptation is None else offline.adaptation.leak_per_s,
         KH=KH,
         load=load,
@@ -107,6 +100,14 @@ def static_arm(
         rub=Rubbing.of(arm.servos, cell.tolerance),
         smooth_rad_per_s=None if offline.friction is None else offline.friction.smooth_rad_per_s,
     )
+
+
+def _learnt(model: ArmModel, offline: Offline, along: Sequence[Vector], desired: Sequence[Desired]) -> Matrix | None:
+    if offline.adaptation is None:
+        return None
+    references = [ReferenceTwist(np.array(d.v), np.array(d.a)) for d in desired]
+    each = zip(along, references, strict=True)
+    return np.array([adaptation_matrix(model, offline, q, reference, model.task_basis) for q, reference in each])
 
 
 def applied(matrix: Matrix, vectors: Matrix) -> Matrix:

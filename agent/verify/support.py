@@ -40,7 +40,7 @@ from agent.verify.felt import STEP_S, Feeling, summed
 from agent.verify.loads import Loads, loads, unbearable
 from agent.verify.rubbing import Rubbing
 from agent.verify.static_arm import applied, static_arm
-from agent.verify.unnoticed import ahead, until_off_track
+from agent.verify.unnoticed import to_the_end, until_off_track
 from drivers.interface import Vector
 
 HELD_SAG_M = 0.02
@@ -105,7 +105,7 @@ class Statics:
         self._brace_N = 0.0 if brace is None else brace.limit_N
         safety = cell.file.safety
         self._limits = safety.tracking_error_max_m, safety.tracking_error_max_rad
-        self._ahead = None if safety.noticing.enabled else ahead(cell, instants) @ P.T
+        self._ahead = None if safety.noticing.enabled else to_the_end(cell, instants) @ P.T
         sense = coordination.residual(cell, cell.arms[0])
         self._feeling = None if sense is None else Feeling(cell, sense, instants)
         # an arm's weight against its torque: masses and torque constants are independent

@@ -9,24 +9,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pinocchio as pin
 
-from agent.config.cell import Cell, placement
+from agent.config.cell import Cell
 from agent.control.models import Matrix
+from agent.verify.ahead import ahead
 
 AHEAD = 40  # steps of one period, or of what is left of the run
 
 
-def ahead(cell: Cell, instants: Sequence[float]) -> Matrix:
+def to_the_end(cell: Cell, instants: Sequence[float]) -> Matrix:
     """(T, AHEAD + 1, 6) by how much the motion goes on from these instants, s: m, and rotation vectors."""
-    motion = cell.trajectory()
-    ways = []
-    for t in instants:
-        end_s = max(t, min(t + motion.period_s, cell.file.duration_s))
-        poses = [placement(at.p, at.quat) for at in map(motion.at, np.linspace(t, end_s, AHEAD + 1).tolist())]
-        p, R = poses[0].translation, poses[0].rotation
-        ways.append([np.concatenate([T.translation - p, pin.log3(T.rotation @ R.T)]) for T in poses])
-    return np.array(ways)
+    begin, period_s = np.array(instants), cell.trajectory().period_s
+    end = np.maximum(begin, np.minimum(begin + period_s, cell.file.duration_s))
+    return ahead(cell, np.linspace(begin, end, AHEAD + 1, axis=1))
 
 
 def until_off_track(errors: Matrix, max_m: float, max_rad: float) -> Matrix:

@@ -195,6 +195,7 @@ TARGETS = (
     Target("agent.view.motion", (f"{UNIT}/view/test_motion.py", *_VIEW, *_PAGE)),
     Target("agent.view.player", _PAGE),
     Target("agent.view.pose", _VIEW),
+    Target("agent.verify.ahead", (f"{UNIT}/verify/test_felt.py",)),
     Target("agent.verify.asked", (f"{UNIT}/verify/test_asked.py",)),
     Target("agent.verify.felt", (f"{UNIT}/verify/test_felt.py",)),
     Target("agent.verify.collision.way", (f"{UNIT}/verify/test_way.py",)),

@@ -152,11 +152,13 @@ CHECKS: Entries = {
         ("Touch.__init__", "self._lasted_s = 0.0", "self._lasted_s = 1.0"): _A_TOUCH_SETS_IT,
         ("Touch.__init__", "self._quiet_s = 0.0", "self._quiet_s = 1.0"): _A_TOUCH_SETS_IT,
     },
+    "agent.verify.ahead": {
+        ("turned", _ANGLE, _ANGLE.replace("* np.sign", "/ np.sign")): "a sign is its own inverse",
+    },
     "agent.verify.asked": {
         ("asked", _BOX, _BOX.replace("each[0]", "each[1]")): "the box is the same for all arms",
     },
     "agent.verify.felt": {
         ("Feeling.until_felt", _OVER, _OVER.replace("> self", ">= self")): "nothing is at its limit to the bit",
-        ("_turned", _ANGLE, _ANGLE.replace("* np.sign", "/ np.sign")): "a sign is its own inverse",
     },
 }

@@ -16,7 +16,7 @@ from agent.log.servos import servo_table
 from agent.modes import Mode
 from agent.report.metrics import summarise
 from agent.report.prepared import prepare
-from agent.report.series import duration, internal_wrenches, rotate
+from agent.report.series import durations, internal_wrenches, rotate
 from agent.safety import Flag
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import Health
@@ -158,7 +158,7 @@ def test_durations_that_a_row_without_a_state_has_of_the_one_before_count_once()
     rows["late_s"][103], rows["step_s"][103], rows["write_s"][103] = 1.2 / RATE_HZ, np.nan, np.nan
     left = summarise(log).arms["left"]
     assert (left.late_cycles, left.overruns) == (2, 2)
-    assert np.flatnonzero(np.isnan(duration(prepare(log).whole["left"], "read_s"))).tolist() == [100, 101, 102]
+    assert np.flatnonzero(np.isnan(durations(prepare(log).whole["left"])["read_s"])).tolist() == [100, 101, 102]
 
 
 def test_percentiles_of_the_loop() -> None:

@@ -13,7 +13,8 @@ from agent.config import coordination
 from agent.config.cell import Cell, placement
 from agent.control.models import Matrix
 from agent.control.residual import Channels
-from agent.verify.felt import STEP_S, STEPS, Feeling, _turned, summed
+from agent.verify.ahead import turned
+from agent.verify.felt import STEP_S, STEPS, Feeling, summed
 from tests.support.control.criterion_cells import cell_of
 
 LIMITS = Channels(2.0, 0.5, 1.0, 0.2)
@@ -112,7 +113,7 @@ def test_rotation_vectors_are_those_from_the_first_attitude_on() -> None:
     quat = np.array([[[q.w, q.x, q.y, q.z] for q in map(pin.Quaternion, row)] for row in R])
     quat *= rng.choice([-1.0, 1.0], (3, 5, 1))  # of either sign
     expected = [[pin.log3(x @ row[0].T) for x in row] for row in R]
-    np.testing.assert_allclose(_turned(quat), expected, atol=1e-9)
+    np.testing.assert_allclose(turned(quat), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("leak", [0.0, 4.0])

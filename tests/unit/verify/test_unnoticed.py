@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.verify.unnoticed import ahead, until_off_track
+from agent.verify.unnoticed import to_the_end, until_off_track
 from tests.support.control.criterion_cells import gentle
 
 M, RAD = 0.05, 0.3
@@ -28,13 +28,13 @@ def test_a_turn_holds_an_arm_as_a_way_does() -> None:
 
 
 def test_the_motion_goes_on_over_its_turning_point_for_a_period_or_as_long_as_the_run() -> None:
-    ways = ahead(gentle("paper"), [0.0, 3.75])
+    ways = to_the_end(gentle("paper"), [0.0, 3.75])
     np.testing.assert_allclose(ways[:, 0], 0.0, atol=1e-12)
     assert ways[0, :, 0].max() == pytest.approx(0.05)
     assert ways[0, :, 0].min() == pytest.approx(-0.05)
     assert ways[1, :, 0].min() == pytest.approx(-0.1)
     assert ways[1, :, 5].max() == pytest.approx(2.0 * np.pi / 30.0)  # −π/30 is the turn at that end
-    short = ahead(gentle("paper", "duration_s=3.75", "report.transient_s=1.0"), [0.0, 3.75])
+    short = to_the_end(gentle("paper", "duration_s=3.75", "report.transient_s=1.0"), [0.0, 3.75])
     assert short[0, -1, 0] == pytest.approx(0.05)
     assert short[0, :, 0].min() >= 0.0
     np.testing.assert_allclose(short[1], 0.0, atol=1e-12)
