@@ -12,8 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from agent.log.columns import Table
 from agent.log.servos import servo_table
 from agent.modes import Mode
+from agent.report import prepared
 from agent.report.metrics import summarise
 from agent.report.prepared import prepare
 from agent.report.series import durations, internal_wrenches, rotate
@@ -101,6 +103,14 @@ def test_what_arms_are_to_press_by_is_none_of_it_while_rows_say_so() -> None:
         log.agents[arm]["wrench_internal"][10] = math.nan  # a tick without a law
     assert summarise(log).internal_force_mean_N == pytest.approx(1.0, abs=0.02)
     assert summarise(log).arms["left"].internal_realised.max_force_N == pytest.approx(3.0), "all of it"
+
+
+def test_a_plant_s_row_takes_what_an_arm_was_to_give_from_a_row_of_about_that_time_or_none() -> None:
+    rows = small_run().agents["left"][:1].copy()
+    rows["t"], rows["wrench_internal"] = 1.0, 2.0
+    found = prepared._asked_force(Table.of(rows), np.array([0.975, 0.985, 1.0, 1.015, 1.025]))
+    assert found[:, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 0.0]
+    assert not prepared._asked_force(None, np.array([1.0])).any()
 
 
 def test_chatter_is_the_mean_change_per_tick_and_a_gap_is_no_change() -> None:
