@@ -28,7 +28,7 @@ from agent.process.describe import run_info
 from agent.process.entry import load, main
 from agent.process.folder import words_folder
 from agent.process.person import Person
-from agent.process.progress import Progress, show
+from agent.process.progress import HowFar, Progress
 from agent.process.rehearse import in_the_loop
 from agent.process.run_kind import RunKind
 from agent.process.unbegun import StoppedEarly
@@ -88,7 +88,6 @@ class Children:
         # one for plant, servos and agents: the wall clock may be set between their starts
         self._utc_offset_ns = None if self._lockstep else utc_offset_ns()
         self._stop: Callable[[], bool] = lambda: False  # told to `start`
-        self._began_s = 0.0
         self._interrupted = False
 
     def start(self, stop: Callable[[], bool], progress: Progress) -> None:
@@ -114,7 +113,6 @@ class Children:
             self.person = Person(arms, self._cell.fingerprint, lambda word: progress.phase(f"coop {word}"), self._start)
         elif not self._lockstep:
             self._start_together(progress)
-        self._began_s = time.monotonic()
 
     def _start_servos(self) -> None:
         self._servos = self._child("servos", self._emulate_command(None))
@@ -203,6 +201,7 @@ class Children:
         progress.phase("running")
         first, duration_s = self._cell.arms[0].name, self._cell.file.duration_s
         with RingReader(self._ring(first), AGENT_STATE) as rows:
+            how_far = HowFar(rows, progress, duration_s)
             while any(child.process.poll() is None for child in self._agents.values()):
                 self._require_alive()
                 self._pass_on(progress)
@@ -212,9 +211,9 @@ class Children:
                     self._interrupted = True
                     if self._stop_agents():
                         return True
-                show(rows, progress, began_s=self._began_s, duration_s=duration_s)
+                how_far.look()
                 time.sleep(LOOK_EVERY_S)
-            show(rows, progress, began_s=self._began_s, duration_s=duration_s)
+            how_far.look()
         self._require_alive()
         return self._interrupted
 

@@ -27,12 +27,25 @@ class Progress(Protocol):
         ...
 
 
-def show(rows: RingReader, progress: Progress, *, began_s: float, duration_s: float) -> None:
-    """Tell of the newest row; began_s: monotonic time at which the run began."""
-    block = rows.read_last(1)
-    if not block.count:
-        return
-    row = AGENT_STATE.decode(block.payload)[0]
-    t = float(row["t"])
-    elapsed = max(time.monotonic() - began_s, 1e-3)
-    progress.advance(t, duration_s, t / elapsed, float(np.linalg.norm(row["e_p"])) * 1e3)
+class HowFar:
+    """Tells of the newest row of the first arm; the pace counts from the first look that finds the motion begun."""
+
+    def __init__(self, rows: RingReader, progress: Progress, duration_s: float) -> None:
+        self._rows = rows
+        self._progress = progress
+        self._duration_s = duration_s
+        self._first: tuple[float, float] | None = None  # its time in the row and on the monotonic clock
+
+    def look(self) -> None:
+        """Tell how far it is now."""
+        block = self._rows.read_last(1)
+        if not block.count:
+            return
+        row = AGENT_STATE.decode(block.payload)[0]
+        t_s, now_s = float(row["t"]), time.monotonic()
+        if self._first is None and t_s > 0.0:
+            self._first = t_s, now_s
+            return  # its pace is known at the next look
+        began_t_s, began_s = self._first or (t_s, now_s)
+        speed = (t_s - began_t_s) / max(now_s - began_s, 1e-3)
+        self._progress.advance(t_s, self._duration_s, speed, float(np.linalg.norm(row["e_p"])) * 1e3)

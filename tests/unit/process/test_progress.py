@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.process import progress
+from agent.process.progress import HowFar
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
@@ -26,20 +26,23 @@ class Watching:
         self.told.append((t_s, duration_s, speed, error_mm))
 
 
-def test_time_speed_and_error_of_the_newest_row_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.process.progress.time.monotonic", lambda: 104.0)
+def test_time_pace_and_error_of_the_newest_row_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("agent.process.progress.time.monotonic", lambda: now_s)
     watching = Watching()
     with (
         RingWriter(tmp_path / "left.ring", AGENT_STATE, "left", slots=8) as writer,
         RingReader(tmp_path / "left.ring", AGENT_STATE) as rows,
     ):
-        progress.show(rows, watching, began_s=100.0, duration_s=20.0)
+        how_far = HowFar(rows, watching, 20.0)
+        how_far.look()
         assert watching.told == [], "there is no row yet"
-        for t in (1.0, 2.0):
-            writer.row["t"] = t
+        for t, at_s in ((-3.0, 101.0), (-1.0, 140.0), (0.5, 142.0), (2.5, 146.0)):
+            writer.row["t"], now_s = t, at_s
             writer.row["e_p"] = (3e-3, 0.0, 4e-3)
             writer.commit()
-        progress.show(rows, watching, began_s=100.0, duration_s=20.0)
-    ((t_s, duration_s, speed, error_mm),) = watching.told
-    assert (t_s, duration_s, speed) == (2.0, 20.0, 0.5)
-    assert error_mm == pytest.approx(5.0)
+            how_far.look()
+    assert [told[:3] for told in watching.told] == [
+        (-3.0, 20.0, 0.0), (-1.0, 20.0, 0.0), (2.5, 20.0, 0.5)
+    ], "the wait for a start says nothing about the pace"  # fmt: skip
+    assert watching.told[-1][3] == pytest.approx(5.0)
