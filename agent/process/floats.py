@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from functools import partial
 
 from agent.around import RunSummary
 from agent.config import floating
@@ -65,7 +64,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             tell.clock = clock
             require_within(floats, driver)
             # before the torque: from then on the servos' watchdogs run
-            stops = partial(_stops, stop if words is None else words.stops, guard)
+            stops = Stops(stop if words is None else words.stops, guard)
             loop = FloatLoop(
                 floats, driver, clock, ring, stops, tell, texts, notifier, shared=options.shared, told=words
             )
@@ -97,9 +96,9 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             leave_realtime()
             notifier.stopping("torque off")
     ArmLost.check(arm.name, summary)
-    if loop.stopped_by:
+    if stopped_by := loop.stopped_by or stops.unasked:
         raise FloatStopped(
-            f"arm {arm.name}", found=loop.stopped_by, expected="a stop by whoever guides it",
+            f"arm {arm.name}", found=stopped_by, expected="a stop by whoever guides it",
             remedy="it has sunk, and its torque is off; its log says what went before",
         )  # fmt: skip
     return summary
@@ -138,9 +137,20 @@ def _words(
     return stack.enter_context(closing(Words(options.control, floats.cell, options, stop, clock, tell)))
 
 
-def _stops(stop: Callable[[], bool], guard: Guarded | None) -> bool:
+class Stops:
     """Whether the arm is to stop; it does so, too, once nobody would go on for this process."""
-    return (guard is not None and bool(guard.poll())) or stop()
+
+    def __init__(self, asked: Callable[[], bool], guard: Guarded | None) -> None:
+        self._asked = asked
+        self._guard = guard
+        self.unasked = ""  # why it does where nobody had asked it to
+
+    def __call__(self) -> bool:
+        """Look, once a cycle."""
+        asked, missing = self._asked(), "" if self._guard is None else self._guard.poll()
+        if missing and not asked:
+            self.unasked = self.unasked or missing
+        return asked or bool(missing)
 
 
 def require_within(floats: Floats, driver: Driver) -> None:

@@ -83,6 +83,20 @@ def test_an_arm_whose_process_is_killed_is_let_down_by_its_guard(tmp_path: Path)
     assert (rows["sequence"] == np.arange(len(rows))).all(), "two never write"
 
 
+@pytest.mark.long  # until it lies
+def test_an_arm_whose_guard_is_killed_stands_and_sinks_and_the_command_says_so(tmp_path: Path) -> None:
+    process, _, log = floating(tmp_path)
+    [guard] = [pid for pid in children(process.pid) if b"guard" in words_of(pid)]
+    os.kill(guard, signal.SIGKILL)
+    _, err = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 5
+    assert "found the guard is gone, expected a stop by whoever guides it" in err
+    modes = [
+        Mode(mode).name for mode, _ in itertools.groupby(read_log(tmp_path / log / "run.mcap").agents["left"]["mode"])
+    ]
+    assert modes == ["FLOAT", "STAND", "SINK"]
+
+
 def children(pid: int) -> list[int]:
     """Processes that this one has started."""
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
