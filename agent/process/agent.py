@@ -25,7 +25,7 @@ from agent.guard.line import GuardError
 from agent.host.latency import files, newest
 from agent.host.notify import Notifier
 from agent.host.ready_line import pairs
-from agent.host.realtime import become_realtime, granted, leave_realtime, quiet_memory
+from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.modes import TABLE, Event, Mode
@@ -37,6 +37,7 @@ from agent.process.arranged import arranged
 from agent.process.build import build_agent, build_driver, passed_on, wait_no_longer
 from agent.process.clocked import ClockWatch, shares_time
 from agent.process.commands import AgentOptions
+from agent.process.let_go import let_go
 from agent.process.operated import IN_LOCKSTEP, Operator, no_real_time, tick_of
 from agent.process.rehearse import BridgedRows, in_the_loop
 from agent.process.schedule import guard_vigil, schedule_of
@@ -146,12 +147,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             tell.event(Level.ERROR, str(error))
             raise
         finally:
-            driver.disable()
-            if guard is not None:
-                guard.leave()
-            driver.close()
-            leave_realtime()
-            notifier.stopping("torque off")
+            let_go(driver, guard, notifier)
     return ArmLost.check(arm.name, summary, session=options.whole)
 
 

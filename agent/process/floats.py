@@ -16,7 +16,7 @@ from agent.config.schema.driver import DriverKind
 from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.notify import Notifier
 from agent.host.ready_line import pairs
-from agent.host.realtime import become_realtime, leave_realtime, quiet_memory
+from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
 from agent.process.agent import ArmLost
@@ -24,6 +24,7 @@ from agent.process.build import passed_on, port_of, servo_driver
 from agent.process.commands import AgentOptions
 from agent.process.float_loop import FloatError, FloatLoop, Floats
 from agent.process.float_words import Words
+from agent.process.let_go import let_go
 from agent.process.schedule import guard_vigil
 from agent.process.tellers import Teller, opened
 from agent.process.unbegun import Unbegun
@@ -89,12 +90,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             tell.event(Level.ERROR, str(error))
             raise
         finally:
-            driver.disable()
-            if guard is not None:
-                guard.leave()
-            driver.close()
-            leave_realtime()
-            notifier.stopping("torque off")
+            let_go(driver, guard, notifier)
     ArmLost.check(arm.name, summary)
     if stopped_by := loop.stopped_by or stops.unasked:
         raise FloatStopped(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,19 +18,23 @@ from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
-from agent.guard.guarded import UNGUARDED
+from agent.guard.guarded import BUSY_S, UNGUARDED, Guarded
+from agent.guard.takeover import stale_ns
+from agent.host.notify import Notifier
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
 from agent.operator.socket import Standing
 from agent.process import agent as process
+from agent.process import let_go as ending
 from agent.process.commands import AgentOptions
+from agent.process.let_go import let_go
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.topics import Kind
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.line.codec import HEADER
-from drivers.interface import ConnectError
+from drivers.interface import ConnectError, Driver
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
@@ -133,7 +137,8 @@ def test_what_takes_long_is_done_before_an_agent_is_a_real_time_thread_and_after
 
     nothing = lambda *_: None  # noqa: E731
     for name in ("_law", "quiet_memory", "become_realtime", "leave_realtime"):
-        monkeypatch.setattr(process, name, noted(name, process._law if name == "_law" else nothing))
+        where = ending if name == "leave_realtime" else process
+        monkeypatch.setattr(where, name, noted(name, process._law if name == "_law" else nothing))
     for name in ("connect", "enable", "close"):
         monkeypatch.setattr(driver, name, noted(name, getattr(driver, name)))
     monkeypatch.setattr(process, "build_driver", lambda *_: (driver, clock))
@@ -218,7 +223,9 @@ def test_an_agent_says_why_nobody_goes_on_for_it_where_somebody_was_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guarded: bool
 ) -> None:
     released = RunSummary(1, 0, 0, Mode.OFF, "", 0.0)
-    guard = SimpleNamespace(missing="the guard hangs", watch=lambda *_, **__: None, leave=lambda: None)
+    guard = SimpleNamespace(
+        missing="the guard hangs", watch=lambda *_, **__: None, busy=lambda: None, leave=lambda: None
+    )
     stood: list[Standing] = []
     arm_with(guard if guarded else None, monkeypatch)
     monkeypatch.setattr(process, "_law", lambda *_: None)
@@ -249,8 +256,37 @@ def test_an_agent_tells_its_guard_and_the_service_manager_before_it_brings_its_a
     monkeypatch.setattr(process, "Notifier", lambda: notified)
     monkeypatch.setattr(process, "Runner", runner)
     process.run_agent(CELL, options(tmp_path), StopFlag(), lambda _: None)
-    assert told == ["guard"] * guarded
-    assert "busy" in notified.told
+    assert told == ["guard", "guard"] * guarded, "once now, and once when the torque goes off"
+    assert notified.told[1:] == ["busy", "busy", "stopping: torque off"]
+
+
+def test_an_agent_says_that_it_is_busy_before_its_torque_goes_off_and_leaves_its_guard_after_it() -> None:
+    told = list[str]()
+    driver, guard, notifier = (
+        SimpleNamespace(**{name: partial(told.append, f"{who}: {name}") for name in names.split()})
+        for who, names in (("driver", "disable close"), ("guard", "busy leave"), ("manager", "busy"))
+    )
+    notifier.stopping = lambda status: told.append(f"manager: {status}")
+    let_go(cast(Driver, driver), cast(Guarded, guard), cast(Notifier, notifier))
+    assert told == [
+        "manager: busy", "guard: busy", "driver: disable", "guard: leave", "driver: close", "manager: torque off"
+    ]  # fmt: skip
+    told.clear()
+    let_go(cast(Driver, driver), None, cast(Notifier, notifier))
+    assert told == ["manager: busy", "driver: disable", "driver: close", "manager: torque off"]
+
+
+def test_an_agent_whose_driver_takes_the_time_it_needs_for_its_torque_is_excused_for_longer() -> None:
+    """A real arm's guard ends an agent that writes no row for that long."""
+    _, clock, driver = rig()
+    driver.connect()
+    driver.enable()
+    driver.read()
+    driver.write(np.zeros(3))
+    begin_ns = clock.now_ns()
+    driver.disable()
+    took_ns = clock.now_ns() - begin_ns
+    assert stale_ns(CELL.period_ns, emulated=False, simulated=False) < took_ns < 0.25 * BUSY_S * 1e9
 
 
 class Notified:
@@ -297,4 +333,4 @@ def test_an_arm_that_is_lost_ends_its_process_with_that_and_a_simulated_one_is_n
         process.run_agent(CELL, options(tmp_path, driver=driver, whole=whole), StopFlag(), lambda _: None)
     assert caught.value.remedy == remedy
     begins = TABLE[Mode.REST if whole else Mode.READY].says
-    assert notified.told == [told + begins, "stopping: torque off"]
+    assert notified.told == [told + begins, "busy", "stopping: torque off"]

@@ -282,13 +282,16 @@ def test_what_ends_follows_from_time_and_speed() -> None:
 
 
 @pytest.mark.fault("P7")
-def test_an_arm_that_floats_stops_when_its_guard_is_gone() -> None:
-    gone: Any = SimpleNamespace(poll=lambda: "the guard hangs")
-    there: Any = SimpleNamespace(poll=lambda: "")
-    assert floats._stops(lambda: False, gone)
-    assert not floats._stops(lambda: False, there)
-    assert floats._stops(lambda: True, there)
-    assert not floats._stops(lambda: False, None)
+@pytest.mark.parametrize("asked", [False, True])
+def test_an_arm_that_floats_stops_when_its_guard_is_gone_and_says_so_unless_somebody_had_asked_it_to(
+    asked: bool,
+) -> None:
+    told = iter(["", "the guard hangs", ""])
+    guard: Any = SimpleNamespace(poll=lambda: next(told))
+    stops = floats.Stops(lambda: asked, guard)
+    assert [stops() for _ in range(3)] == [asked, True, asked]
+    assert stops.unasked == ("" if asked else "the guard hangs")
+    assert floats.Stops(lambda: asked, None)() is asked
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -68,7 +69,7 @@ class Watching:
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(children, "RingReader", lambda *_: nullcontext())
-    monkeypatch.setattr(children, "show", lambda *_, **__: None)
+    monkeypatch.setattr(children, "HowFar", lambda *_: SimpleNamespace(look=lambda: None))
     monkeypatch.setattr(children, "LOOK_EVERY_S", 0.0)
     return Children(load_cell(PAPER), RunKind.LOCKSTEP, 0, None, tmp_path / "run.mcap", tmp_path)
 

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.control.floating import Floating
 from agent.faults.virtual import Line
-from agent.guard.guarded import GONE, Guarded
 from agent.host.signals import StopFlag
 from agent.modes import Mode
 from agent.operator.message import Reply, Request
@@ -201,12 +199,3 @@ def test_the_process_of_an_arm_that_stopped_floating_by_itself_does_not_end_as_o
         floats.run_float(bench.cell, bench.options, stop, bench.happens)
     assert told.value.exit_code == 5
     assert not bench.port.is_open
-
-
-@pytest.mark.parametrize("asked", [False, True])
-def test_an_arm_that_stops_because_its_guard_is_gone_says_so_unless_somebody_had_asked_it_to(asked: bool) -> None:
-    told = iter(["", GONE, ""])
-    stops = floats.Stops(lambda: asked, cast(Guarded, SimpleNamespace(poll=lambda: next(told))))
-    assert [stops() for _ in range(3)] == [asked, True, asked]
-    assert stops.unasked == ("" if asked else "the guard is gone")
-    assert not floats.Stops(lambda: False, None)()
