@@ -21,6 +21,7 @@ from agent.config.cell import Arm, Cell
 from agent.config.schema.floating import Floating
 from agent.config.servo_map import arm_map, fingers_of
 from agent.grip import GripResult, Watch
+from agent.guard.guarded import Guarded
 from agent.host.notify import Notifier
 from agent.loop import Agent, initial_memory
 from agent.modes import Event, Mode
@@ -167,8 +168,12 @@ class FloatLoop:
         shared: bool,
         agent: Agent | None = None,
         told: Told | None = None,
+        guard: Guarded | None = None,
     ) -> None:
-        """shared: as of `schedule_of`; agent: of this arm, where it is built already; told: of one that moves."""
+        """shared: as of `schedule_of`; agent: of this arm, where it is built already; told: of one that moves.
+
+        guard: who watches this loop's rows.
+        """
         cell, arm = floats.cell, floats.arm
         self._tell, self._ring, self._driver, self._clock = tell, ring, driver, clock
         self._agent = agent or build_agent(cell, arm)
@@ -178,7 +183,7 @@ class FloatLoop:
         self._begins = Event.ENABLED if floats.moves else Event.FLOATED
         schedule = schedule_of(cell, hold=True, shared=shared)
         self.schedule = schedule if floats.moves else replace(schedule, ticks=ENDLESS)
-        self._told = told
+        self._told, self._guard = told, guard
         self.stopped_by = ""  # why it stopped by itself, of an arm that nobody had asked to
         self._monitors = Monitors(floats.bounds, self._ending.warn)
         self._heart = Heart(notifier, cell.file.rate_hz)
@@ -191,6 +196,7 @@ class FloatLoop:
             self._beat,
             self._mode_changed,
             self._trouble,
+            busy=self._busy,
         )
 
     def run(self, stands: Beginning | None = None) -> RunSummary:
@@ -239,6 +245,11 @@ class FloatLoop:
     def _beat(self) -> None:
         self._heart.beat()
         self._servos.beat()
+
+    def _busy(self) -> None:
+        self._heart.busy()
+        if self._guard is not None:
+            self._guard.busy()
 
     def _trouble(self, reason: str) -> None:
         self._tell.trouble(reason)

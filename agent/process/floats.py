@@ -67,8 +67,9 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             # before the torque: from then on the servos' watchdogs run
             stops = Stops(stop if words is None else words.stops, guard)
             loop = FloatLoop(
-                floats, driver, clock, ring, stops, tell, texts, notifier, shared=options.shared, told=words
-            )
+                floats, driver, clock, ring, stops, tell, texts, notifier,
+                shared=options.shared, told=words, guard=guard,
+            )  # fmt: skip
             quiet_memory()
             if options.priority is not None:
                 become_realtime(options.priority)

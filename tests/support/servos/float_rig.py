@@ -83,6 +83,8 @@ class Silent:
 
     def alive(self) -> None: ...
 
+    def busy(self) -> None: ...
+
 
 @dataclass
 class FloatArm:

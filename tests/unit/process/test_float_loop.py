@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.around import Beginning, RunSummary
+from agent.around import Beginning, RunSummary, Surroundings
 from agent.config import floating
 from agent.config.cell import Cell, load_cell
 from agent.grip import GripResult
@@ -91,7 +91,9 @@ class Gripper:
 class Bench:
     """A loop around a runner that does as the test says; what it was given, and what was told."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str, *settings: str, builds: bool = False) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, name: str, *settings: str, builds: bool = False, guarded: bool = True
+    ) -> None:
         self.runs: list[Callable[[], RunSummary]] = [lambda: SUMMARY]
         self.runners: list[tuple[Any, ...]] = []
         self.begun_by: list[Event] = []
@@ -101,7 +103,8 @@ class Bench:
         clock = SimpleNamespace(process_time=iter([10.0, 12.5]).__next__, perf_counter_ns=lambda: 0)
         monkeypatch.setattr(float_loop, "time", clock)
         monkeypatch.setattr(float_loop, "Runner", self._runner)
-        monkeypatch.setattr(float_loop, "Heart", lambda *_: SimpleNamespace(mode=self._heart, beat=self._beat("heart")))
+        heart = SimpleNamespace(mode=self._heart, beat=self._beat("heart"), busy=self._beat("heart is busy"))
+        monkeypatch.setattr(float_loop, "Heart", lambda *_: heart)
         monkeypatch.setattr(float_loop, "ServoTeller", lambda *_: SimpleNamespace(beat=self._beat("servos")))
         self.cell = cell_of(*settings)
         floats = Floats.of(self.cell, name)
@@ -111,7 +114,13 @@ class Bench:
         now = SimpleNamespace(now_ns=lambda: NOW_NS, utc_offset_ns=0)
         told = SimpleNamespace(start_ns=lambda: 77, entered=lambda mode: self.told.append(("entered", mode)))
         given: Any = (floats, self.gripper, now, self.ring, lambda: self.stops, tell, None, None)
-        more: Any = {"shared": False, "agent": None if builds else self.agent, "told": told if floats.moves else None}
+        guard = SimpleNamespace(busy=self._beat("guard is told")) if guarded else None
+        more: Any = {
+            "shared": False,
+            "guard": guard,
+            "agent": None if builds else self.agent,
+            "told": told if floats.moves else None,
+        }
         monkeypatch.setattr(float_loop, "build_agent", lambda *_: self.agent if builds else pytest.fail("it has one"))
         self.loop = FloatLoop(*given, **more)
 
@@ -213,6 +222,18 @@ def test_a_loop_begins_without_torque_and_tells_its_end(
     assert (("entered", Mode.STAND) in bench.told) is (start_ns is not None)
     around.heartbeat()
     assert bench.beats == ["heart", "servos"]
+
+
+@pytest.mark.fault("P7")
+@pytest.mark.parametrize("guarded", [True, False])
+def test_an_arm_that_floats_tells_its_guard_before_what_takes_longer_than_a_cycle(
+    monkeypatch: pytest.MonkeyPatch, guarded: bool
+) -> None:
+    bench = Bench(monkeypatch, "left", *ALONE, guarded=guarded)
+    bench.loop.run()
+    around: Surroundings = bench.runners[0][6]
+    around.busy()
+    assert bench.beats == ["heart is busy", *(["guard is told"] if guarded else [])]
 
 
 def test_a_stop_is_asked_for_with_the_speed_of_the_fastest_joint(monkeypatch: pytest.MonkeyPatch) -> None:
