@@ -14,6 +14,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
+from agent.guard.takeover import STALE_NS
 from agent.modes import Event, Mode
 from agent.operator.table import EVENT_OF
 from agent.session_modes import next_in_session
@@ -69,6 +70,11 @@ def test_the_object_is_carried_as_the_cell_asks_and_set_down_where_it_stood() ->
     assert run.place is not None
     assert run.place[0] < 3e-3
     assert run.place[1] < 20e-3
+
+
+def test_no_phase_takes_longer_between_two_rows_than_a_real_arms_guard_waits() -> None:
+    for arm in whole().arms.values():
+        assert np.diff(arm.rows["stamp_ns"].astype(np.int64)).max() < STALE_NS
 
 
 def test_no_torque_steps_in_any_phase_and_no_servo_is_overloaded() -> None:

@@ -21,6 +21,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
+from agent.doctor.host import fifo_granted
 from agent.guard.agent_end import AgentEnd
 from agent.guard.guarded import HAND_OVER_AFTER
 from agent.guard.line import GuardError, Word
@@ -97,6 +98,7 @@ class Host:
     def __init__(self, folder: Path, loading: int = 2) -> None:
         """loading: how many of guard and agent are begun at once."""
         self.folder = folder
+        self.arm_is = ("--emulated",)
         (folder / "session").mkdir()
         self.environment = {k: v for k, v in os.environ.items() if k != "RUNTIME_DIRECTORY"}
         self.environment["XDG_RUNTIME_DIR"] = str(folder / "session")
@@ -137,7 +139,7 @@ class Host:
 
     def guard(self, *more: str, prefix: tuple[str, ...] = ()) -> subprocess.Popen[str]:
         return self.start(
-            "guard", self.cell, "--arm", "left", "--port", self.folder / "ports/left", "--emulated",
+            "guard", self.cell, "--arm", "left", "--port", self.folder / "ports/left", *self.arm_is,
             "--driver", "dynamixel", "--socket", self.folder / "left.guard", "--control", self.folder / "left.control",
             "--post-mortem", self.folder / "post_mortem", *more,
             prefix=prefix, NOTIFY_SOCKET=str(self.folder / "notify"),
@@ -145,7 +147,7 @@ class Host:
 
     def agent(self, *more: str, program: tuple[str, ...] = COOP, begins: bool = True) -> subprocess.Popen[str]:
         process = self.start(
-            "agent", self.cell, "--arm", "left", "--port", self.folder / "ports/left", "--emulated", "--driver",
+            "agent", self.cell, "--arm", "left", "--port", self.folder / "ports/left", *self.arm_is, "--driver",
             "dynamixel", "--guard", self.folder / "left.guard", "--control", self.folder / "left.control",
             "--ring", self.ring, *more, program=program,
         )  # fmt: skip
@@ -305,6 +307,24 @@ def test_an_agent_that_is_told_to_end_before_it_has_torque_ends_without_and_its_
         assert guard.wait(PATIENCE_S) == 0
     finally:
         host.close()
+
+
+@pytest.mark.long  # what it says beforehand: tests/unit/process/test_agent_order.py
+@pytest.mark.skipif(not fifo_granted(), reason="this host gives no real-time priority, without which no row is in time")
+@in_real_time()
+def test_a_release_of_an_arm_that_is_taken_for_a_real_one_ends_its_agent_and_leaves_its_guard(host: Host) -> None:
+    """Its guard waits for a row no longer than a real arm's does, less than switching the torque off takes."""
+    host.arm_is = ("--priority", "80")
+    guard = host.guard()
+    agent = host.agent("--allow-no-realtime")
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    released = coop("release", host.cell, "--control", host.folder / "left.control", cwd=host.folder)
+    assert released.code == 0, released.err
+    assert agent.wait(PATIENCE_S) == 0, host.told()
+    assert host.told()[-1].startswith("run ended in OFF")
+    assert guard.poll() is None
+    guard.terminate()
+    assert guard.wait(PATIENCE_S) == 0, "it had nothing to hold"
 
 
 @pytest.mark.fault("P14")
