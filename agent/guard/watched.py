@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
-import signal
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,6 +19,7 @@ from agent.guard.line import GuardError, Said
 from agent.guard.pulse import Pulse
 from agent.guard.resume import ROWS
 from agent.guard.vigil import Vigil
+from agent.host.process_handle import ProcessHandle
 from agent.replay.tick import Rows
 from agent.telemetry.ring.file import RingError
 from agent.telemetry.ring.heir import RingHeir
@@ -29,14 +28,13 @@ from agent.telemetry.ring.texts import TEXT_FORMAT, TextWriter
 from agent.telemetry.row.sample import AGENT_STATE
 
 DESCRIPTORS = 4  # of the process, its guard's pulse, the ring, its texts
-KILL_LOOK_MS = 20
 
 
 @dataclass
 class Watched:
     """One agent with its torque on.  Nothing is written to ring and texts before `inherit`."""
 
-    pidfd: int
+    process: ProcessHandle
     ring: Path
     reader: RingReader
     writer: RingHeir
@@ -62,21 +60,22 @@ class Watched:
             always.callback(os.close, ring)
             always.callback(os.close, texts)
             undo.callback(os.close, pidfd)
+            process = ProcessHandle(pidfd)
             pulse = Pulse(pulse_fd)
             undo.callback(pulse.close)
             reader = undo.enter_context(RingReader(Path(f"/proc/self/fd/{ring}"), AGENT_STATE))
             writer = undo.enter_context(RingHeir(os.dup(ring), AGENT_STATE))
             text_ring = RingHeir(os.dup(texts), TEXT_FORMAT)
             undo.pop_all()
-        return cls(pidfd, Path(str(said.content.get("ring"))), reader, writer, text_ring, pulse, vigil)
+        return cls(process, Path(str(said.content.get("ring"))), reader, writer, text_ring, pulse, vigil)
 
     def __post_init__(self) -> None:
         self.texts = TextWriter.of(self.text_ring)
 
     @property
     def gone(self) -> bool:
-        """Whether its process has ended."""
-        return _ended(self.pidfd, 0)
+        """Whether its process does nothing any more."""
+        return self.process.gone
 
     def hangs(self, now_ns: int) -> bool:
         """One look at its rows: whether none has come for too long.  The agent sees that there was a look."""
@@ -91,13 +90,6 @@ class Watched:
     def rows(self) -> int:
         """How many rows it has written."""
         return self.writer.written
-
-    def kill(self, meanwhile: Callable[[], None]) -> None:
-        """End it, whatever it does, and wait until it has ended; meanwhile is called again and again."""
-        with contextlib.suppress(ProcessLookupError):
-            signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
-        while not _ended(self.pidfd, KILL_LOOK_MS):
-            meanwhile()
 
     def last_rows(self) -> Rows:
         """Its last rows, at most `ROWS`, and none from before a damaged one."""
@@ -132,7 +124,7 @@ class Watched:
         """Let go of everything that is the agent's."""
         for one in (self.reader, self.writer, self.texts, self.pulse):
             one.close()
-        os.close(self.pidfd)
+        self.process.close()
 
     def _keep(self, end: int) -> None:
         """The rows before `end` that are new, as far as they are whole; what is there stays where none is."""
@@ -145,9 +137,3 @@ class Watched:
         size = self.reader.header.row_bytes
         self.kept.extend(block.payload[i : i + size] for i in range(0, len(block.payload), size))
         self.kept_end = block.first + block.count
-
-
-def _ended(pidfd: int, timeout_ms: int) -> bool:
-    poller = select.poll()
-    poller.register(pidfd, select.POLLIN)
-    return bool(poller.poll(timeout_ms))

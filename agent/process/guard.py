@@ -147,7 +147,7 @@ class _Guard:
     def _wait(self) -> None:
         poller = select.poll()
         watched = self._watched
-        for fd in (*self._line.filenos(), *([] if watched is None else [watched.pidfd])):
+        for fd in (*self._line.filenos(), *([] if watched is None else [watched.process.fileno()])):
             poller.register(fd, select.POLLIN)
         with contextlib.suppress(InterruptedError):
             poller.poll((IDLE_NS if watched is None else WATCH_NS) * 1e-6)
@@ -163,15 +163,21 @@ class _Guard:
         watched = self._watched
         if watched is None:
             return ""
-        if watched.gone:
-            return HANDED_OVER if watched.handed_over else _told("the agent has died", watched)
-        if watched.hangs(now_ns) and not self._waits_for_others(watched):
-            watched.kill(self._notifier.alive)
-            return _told(f"the agent hung (no row for {watched.vigil.still_ns * 1e-6:.0f} ms) and was ended", watched)
+        if why := self._end_of(watched, now_ns):
+            return HANDED_OVER if watched.handed_over else _told(why, watched)
         if not watched.rehearsed and watched.rows >= REHEARSE_AT:
             watched.rehearsed = True
             beginning(self._agent, watched.last_rows(), "", session=self._session)
         return ""
+
+    def _end_of(self, watched: Watched, now_ns: int) -> str:
+        """How the agent has come to its end, or has been brought to it; nothing of one that works."""
+        if watched.gone:
+            return "the agent has died"
+        if not watched.hangs(now_ns) or self._waits_for_others(watched):
+            return ""
+        watched.process.kill(self._notifier.alive)
+        return f"the agent hung (no row for {watched.vigil.still_ns * 1e-6:.0f} ms) and was ended"
 
     def _waits_for_others(self, watched: Watched) -> bool:
         """Whether its arm is simulated and time has not begun there: that needs every arm, and holds nothing."""

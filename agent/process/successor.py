@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,15 +19,15 @@ from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.modes import Mode
 from agent.monitors.watch import Watch
-from agent.operator.error import ControlError
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.agent import ArmLost
 from agent.process.build import Standby
 from agent.process.commands import GuardOptions
+from agent.process.hearing import Hearing
 from agent.process.operated import Operator, tick_of
 from agent.process.schedule import schedule_of
 from agent.process.session import led_back
-from agent.process.tellers import Every, Heart, ServoTeller, Teller
+from agent.process.tellers import Heart, ServoTeller, Teller
 from agent.runner import Runner
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
@@ -35,8 +35,6 @@ from drivers.clock import MonotonicClock
 from drivers.interface import Refusal
 
 POST_MORTEM_AFTER_S = 0.3  # of the hold, so that its first cycles are in it
-FOLDER_WAIT_S = 0.02  # for who begins beside it: a cell's guards may take over at once, and servos wait for 0.2 s
-LISTEN_S = 1.0  # from one attempt to hear words to the next, of a hold that could not
 HOLDS, HANDED_OVER = "holds in the agent's place", "the agent was asked to end"
 
 
@@ -80,7 +78,10 @@ class Successor:
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise
-            control = self._listening(standing, tell, stack)  # once the servos have a torque, which waits for nobody
+            hearing = Hearing(
+                options.control, self._cell.fingerprint, standing, watched.process, tell, stack, self._cell.file.rate_hz
+            )
+            control = hearing.begin()  # once the servos have a torque, which waits for nobody
             black_box = self._black_box(watched.ring, reason)
             # it takes seconds: the arm is let go of first
             stack.callback(black_box.finish, self._notifier.alive, lambda why: tell.warn(f"no post-mortem: {why}"))
@@ -88,7 +89,7 @@ class Successor:
             stack.callback(driver.disable)
             leads = session and begun.mode is not Mode.FAULT
             led = led_back(self._cell, arm, self._agent, driver, begun, standing) if leads else None
-            around = self._around(control, standing, driver, watched, clock, tell, black_box, begun.mode, stack)
+            around = self._around(control, standing, driver, watched, clock, tell, black_box, begun.mode, hearing)
             row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
             watch = Watch(self._bounds, tell.warn)
             cpu_s = time.process_time()
@@ -98,26 +99,9 @@ class Successor:
         self._notifier.stopping("torque off")
         return ArmLost.check(arm.name, summary, session=session)
 
-    def _listening(self, standing: Standing, tell: Teller, stack: ExitStack) -> ControlSocket | None:
-        """Where words are heard; an arm is held without it too, as where its folder is gone."""
-        try:
-            return self._listen(standing, stack, FOLDER_WAIT_S)
-        except ControlError as error:
-            tell.event(Level.ERROR, f"no word reaches this hold, SIGUSR1 to process {os.getpid()} releases it: {error}")
-            return None
-
-    def _listen(self, standing: Standing, stack: ExitStack, wait_s: float) -> ControlSocket | None:
-        """Until the stack ends; None where no words are to be heard.  Raises ControlError."""
-        path = self._options.control
-        if path is None:
-            return None
-        control = ControlSocket(path, self._cell.fingerprint, standing, wait_s)
-        stack.callback(control.close)
-        return control
-
     def _around(
         self, control: ControlSocket | None, standing: Standing, driver: Standby, watched: Watched,
-        clock: MonotonicClock, tell: Teller, black_box: BlackBox, begins: Mode, stack: ExitStack,
+        clock: MonotonicClock, tell: Teller, black_box: BlackBox, begins: Mode, hearing: Hearing,
     ) -> Surroundings:  # fmt: skip
         rate_hz = self._cell.file.rate_hz
         heart = Heart(self._notifier, rate_hz)
@@ -133,25 +117,17 @@ class Successor:
         }  # fmt: skip
         standing.details = lambda: {**fixed, "no_start": standing.no_start, "tick": tick_of(watched.writer)}
         heart.mode(begins)
-        again = Every(LISTEN_S, rate_hz)
 
         def mode_changed(mode: Mode) -> None:
             heart.mode(mode)
             operator.mode(mode)
 
-        def listen() -> None:
-            with suppress(ControlError):
-                heard = self._listen(standing, stack, 0.0)
-                if heard is not None:
-                    operator.listen(heard)
-                    tell.event(Level.INFO, "words reach this hold from here on")
-
         def beat() -> None:
             heart.beat()
             servos.beat()
             black_box.beat()
-            if operator.is_deaf and again():
-                listen()
+            if operator.is_deaf and (heard := hearing.look()) is not None:
+                operator.listen(heard)
 
         return Surroundings(
             time.perf_counter_ns, operator.events, lambda: None, beat, mode_changed, tell.trouble, busy=heart.busy

@@ -132,7 +132,7 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
     begun = SimpleNamespace(mode=Mode.HOLD)
     written = SimpleNamespace(finish=did("ring finished"), row=None)
     watched: Any = SimpleNamespace(
-        inherit=did("inherited"), last_rows=list, writer=written, ring=tmp_path / "ring",
+        inherit=did("inherited"), last_rows=list, writer=written, ring=tmp_path / "ring", process=None,
         texts=SimpleNamespace(finish=did("texts finished"), event=lambda _: None),
     )  # fmt: skip
     driver: Any = SimpleNamespace(disable=did("torque off"), close=did("closed"))

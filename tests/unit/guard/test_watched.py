@@ -87,53 +87,12 @@ def no_word(text: str) -> None:
     pytest.fail(text)
 
 
-class Patience:
-    """Is told meanwhile, and gives up in the end."""
-
-    def __init__(self) -> None:
-        self.strokes = 0
-
-    def __call__(self) -> None:
-        self.strokes += 1
-        assert self.strokes < 200, "it has not ended for four seconds"
-
-
 def test_an_agent_is_gone_once_its_process_has_ended_and_not_before(agent: Agent) -> None:
     seen = watched(agent)
     assert (seen.gone, seen.handed_over, seen.rehearsed, seen.ring) == (False, False, False, agent.path)
     os.kill(agent.pid, signal.SIGKILL)
     ended(agent)
     assert seen.gone
-    seen.close()
-
-
-def test_one_that_is_ended_has_ended_and_somebody_is_told_meanwhile(
-    agent: Agent, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen, really = watched(agent), signal.pidfd_send_signal
-
-    class Late(Patience):
-        """The signal takes its time."""
-
-        def __call__(self) -> None:
-            super().__call__()
-            if self.strokes == 3:
-                really(seen.pidfd, signal.SIGKILL)
-
-    monkeypatch.setattr(signal, "pidfd_send_signal", lambda *_: None)
-    late = Late()
-    seen.kill(late)
-    assert seen.gone
-    assert late.strokes >= 3
-    seen.close()
-
-
-def test_one_that_hangs_is_killed_and_one_that_was_already_is_no_error(agent: Agent) -> None:
-    seen = watched(agent)
-    os.kill(agent.pid, signal.SIGSTOP)
-    seen.kill(Patience())
-    assert ended(agent) == signal.SIGKILL
-    seen.kill(Patience())
     seen.close()
 
 

@@ -26,24 +26,24 @@ from drivers.interface import Refusal
 MS = 1_000_000
 
 
-class Seen(Watched):
-    """An agent that is alive until the test says otherwise."""
+class Handle:
+    """Of a process that is alive until the test says otherwise."""
 
-    dead = False
+    gone = False
     killed: Any = None
-
-    @property
-    def gone(self) -> bool:
-        return self.dead
 
     def kill(self, meanwhile: Any) -> None:
         self.killed = meanwhile
+
+
+class Seen(Watched):
+    """An agent of which nothing is there but its handle."""
 
     def last_rows(self) -> Any:
         return "rows"
 
     def close(self) -> None:
-        self.dead = True
+        self.process.gone = True  # type: ignore[misc]
 
 
 @dataclass
@@ -110,7 +110,8 @@ class Bench:
         reader: Any = SimpleNamespace(read_at=lambda first, _: RowBlock(first, 0, b""))
         rows: Any = self.ring
         texts: Any = Ring()
-        self.agent = Seen(-1, Path("ring"), reader, rows, texts, Pulse.made(), vigil)
+        self.process: Any = Handle()
+        self.agent = Seen(self.process, Path("ring"), reader, rows, texts, Pulse.made(), vigil)
         self.guard._watched = self.agent
 
     def _alive(self) -> None:
@@ -140,13 +141,19 @@ def test_its_own_watchdog_is_stroked_every_twenty_milliseconds(monkeypatch: pyte
 def test_an_agent_that_died_is_told_from_one_that_handed_over(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch)
     assert bench.look() == ""
-    bench.agent.dead = True
+    bench.process.gone = True
     assert bench.look() == "the agent has died"
     bench = Bench(monkeypatch)
     assert bench.says(Word.TAKE) == ""
     assert bench.line.answers == [()], "which its agent waits for"
-    bench.agent.dead = True
+    bench.process.gone = True
     assert bench.look() == HANDED_OVER
+    bench = Bench(monkeypatch)
+    bench.says(Word.TAKE)
+    bench.agent.handed_over = True
+    assert any((found := bench.look()) for _ in range(20))
+    assert found == HANDED_OVER, "its process takes its time to end"
+    assert bench.process.killed is not None
 
 
 @pytest.mark.fault("P14")
@@ -157,7 +164,7 @@ def test_what_has_become_of_an_agents_files_is_told_with_its_end(monkeypatch: py
     assert bench.look(30 * MS) == "", "it lives"
     assert any((found := bench.look()) for _ in range(20))
     assert found == "the agent hung (no row for 20 ms) and was ended: its ring was cut to 0 of 9 bytes"
-    bench.agent.dead = True
+    bench.process.gone = True
     assert bench.look() == "the agent has died: its ring was cut to 0 of 9 bytes"
 
 
@@ -170,7 +177,7 @@ def test_a_guard_that_is_asked_to_end_goes_on_with_an_arm_that_was_left_to_it_be
     bench.guard._stop = SimpleNamespace(stopped=True)
     bench.guard._successor = SimpleNamespace(hold=lambda _watched, _driver, reason, **_: held.append(reason))
     bench.guard._wait = lambda: 1 / 0
-    bench.agent.dead = gone
+    bench.process.gone = gone
     bench.guard.run()
     assert held == (["the agent has died"] if gone else [])
     said = "arm left: the agent has died: the guard goes on in its place until `coop release`"
@@ -184,7 +191,7 @@ def test_a_guard_that_is_asked_to_end_waits_for_an_agent_that_it_has_said_yes_to
     bench.guard._stop = SimpleNamespace(stopped=True)
     bench.guard._successor = SimpleNamespace(hold=lambda _watched, _driver, reason, **_: held.append(reason))
     bench.line.words.append(Said(Word.TAKE, {}, ()))
-    bench.guard._wait = lambda: setattr(bench.agent, "dead", True)
+    bench.guard._wait = lambda: setattr(bench.process, "gone", True)
     bench.guard.run()
     assert (held, bench.line.answers) == ([HANDED_OVER], [()])
 
@@ -192,9 +199,9 @@ def test_a_guard_that_is_asked_to_end_waits_for_an_agent_that_it_has_said_yes_to
 def test_an_agent_that_hangs_is_ended_before_anything_else_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch)
     assert [bench.look() for _ in range(10)] == [""] * 10
-    assert bench.agent.killed is None
+    assert bench.process.killed is None
     assert bench.look() == "the agent hung (no row for 20 ms) and was ended"
-    assert bench.agent.killed == bench.guard._notifier.alive
+    assert bench.process.killed == bench.guard._notifier.alive
 
 
 @pytest.mark.parametrize(("written", "waits"), [(0, True), (1, False)])
@@ -204,7 +211,7 @@ def test_a_simulated_agent_without_a_row_is_not_ended(
     bench = Bench(monkeypatch, DriverKind.SIM)
     bench.ring.written = written
     assert any(bench.look() for _ in range(40)) is not waits
-    assert (bench.agent.killed is None) is waits
+    assert (bench.process.killed is None) is waits
 
 
 def test_a_hold_is_rehearsed_once_there_are_twenty_rows(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,7 +248,7 @@ def test_an_agent_that_leaves_is_let_go_and_answered(monkeypatch: pytest.MonkeyP
     bench = Bench(monkeypatch)
     bench.says(Word.LEAVE)
     assert (bench.guard._watched, bench.guard._driver, bench.dropped) == (None, None, 1)
-    assert (bench.agent.dead, bench.line.answers) == (True, [()])
+    assert (bench.process.gone, bench.line.answers) == (True, [()])
 
 
 @pytest.mark.fault("P7")
@@ -250,7 +257,7 @@ def test_a_guard_that_stood_still_hears_that_its_agent_has_left_before_it_finds_
 ) -> None:
     """Its torque is off: nobody may hold the arm in its place."""
     bench = Bench(monkeypatch)
-    bench.agent.dead = True
+    bench.process.gone = True
     bench.line.words += [Said(Word.BUSY, {"for_s": 0.6}, ()), Said(Word.LEAVE, {}, ())]
     assert bench.look() == ""
     assert bench.guard._watched is None
