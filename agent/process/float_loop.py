@@ -207,7 +207,7 @@ class FloatLoop:
         cpu_s = time.process_time()
         if stands is not None:
             self._mode_changed(stands.mode)
-        elif self._grasp is not None:
+        if self._grasp is not None:  # also where servos had stopped meanwhile, and the gripper with them
             self._grasp.close()
         begins = stands or Beginning(Mode.OFF, initial_memory(self._agent), self._zero_ns(), rows=0, reason="")
         runner = self._runner(begins)

@@ -283,7 +283,7 @@ def test_an_arm_that_another_process_let_float_goes_on_in_its_mode(monkeypatch: 
     assert bench.beginning() is stands
     assert bench.begun_by == [Event.NONE]
     assert bench.told[0] is Mode.STAND
-    assert bench.gripper.widths == [], "it holds already"
+    assert len(bench.gripper.widths) == 1, "it may have stopped meanwhile"
 
 
 def failing(error: Exception) -> Callable[[], RunSummary]:

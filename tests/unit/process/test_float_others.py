@@ -18,6 +18,7 @@ from agent.process.float_loop import FloatError, Floats
 from agent.process.floating_cell import FloatOptions, floating_cell, names_of, require_motion
 from agent.process.scene import scene_of
 from drivers.interface import Refusal
+from tests.support.servos import float_rig
 from tests.support.servos.float_rig import OFF, FloatRun, modes_of, replayed
 from tests.support.telemetry.run_log import write_run
 
@@ -73,6 +74,21 @@ def test_an_arm_that_moves_while_others_float_stands_and_sinks_where_it_is_stopp
 @pytest.mark.long  # one that floats alone: test_floats.py
 def test_a_guard_lets_an_arm_down_whose_process_is_killed_while_it_moves_and_others_float() -> None:
     stands_and_sinks(FloatRun(moved(), starts_s=0.3, dies_s=0.6, guarded=True))
+
+
+@pytest.mark.fault("P1")
+def test_a_guard_that_lets_an_arm_down_whose_servos_had_stopped_closes_its_gripper_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(float_rig, "HOST_NS", 300_000_000)  # longer than they wait
+    monkeypatch.setattr(float_loop, "STAND_S", 1.0)
+    cell = floating_cell(FloatOptions(TWO, ("left", "right"), MOTION, holding=True))
+    run = FloatRun(cell, dies_s=1.5, guarded=True)
+    for arm in run.arms.values():
+        assert arm.error is None
+        said = [text for text in arm.texts.said if text.startswith("gripper")]
+        assert len(said) == 2, "the agent, and the guard after it"
+        assert all(text.startswith("gripper holds the object") for text in said)
 
 
 def moved(*changes: str) -> Cell:
