@@ -7,8 +7,6 @@ which mode follows what happened is for `agent.modes`, how long what may last fo
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from agent import floats
@@ -70,8 +68,7 @@ class Runner:
         begin_ns = clock.now_ns()
         self._ticks = Ticks(schedule, begin_ns)
         self._cycles = Cycles(schedule.patience, schedule.period_ns, begin_ns)
-        resumed = partial(self._begin_afresh, Flag.RESUMED)
-        self._sight = Sight(driver, self._cycles, resumed, around.busy, lockstep=schedule.lockstep)
+        self._sight = Sight(driver, self._cycles, self._resumed, around.busy, lockstep=schedule.lockstep)
         self._utc_offset_ns = clock.utc_offset_ns
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
@@ -132,7 +129,7 @@ class Runner:
         self._around.heartbeat()
         if schedule.hold_at_end and self._mode is Mode.TRACK and self._ticks.past_end(deadline_ns + period_ns):
             happened |= Event.STOP
-        if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
+        if self._mode is Mode.READY and self._started(deadline_ns):
             happened |= Event.STARTED
         self._late_cycles += (late := late_ns > period_ns)
         self._ticks.deadline_ns += period_ns
@@ -148,9 +145,6 @@ class Runner:
         before, self._reason = self._reason, self._sight.why(self._reason)
         if self._reason != before and self._mode in KEEPS and Event.SERVO_LOST not in trouble:
             self._telling.stands(self._mode, self._reason, seen=seen)
-
-    def _may_start(self) -> bool:
-        return self._session is None or self._session.taken_up(self._mode, self._memory)
 
     def _judged(self, session: SessionLoop, happened: Event, without_state: int) -> Event:
         """What counts of what happened, with what the arm found out by itself; a refused word is told."""
@@ -186,6 +180,10 @@ class Runner:
         self._change_mode(Event.TROUBLE, None)
         if self._mode is not before:
             self._begin_afresh(Flag.GAP)
+
+    def _resumed(self) -> None:
+        self._begin_afresh(Flag.RESUMED)
+        self._reason = self._telling.resumed(self._mode, self._reason)
 
     def _begin_afresh(self, mark: Flag) -> None:
         self._marks |= mark
@@ -267,8 +265,10 @@ class Runner:
 
     def _started(self, deadline_ns: int) -> bool:
         """Whether the next tick belongs to the trajectory; takes over the common start once it is known (READY)."""
-        zero_ns = self._around.start_ns()
         session, ticks = self._session, self._ticks
+        if session is not None and not session.taken_up(self._mode, self._memory):
+            return False
+        zero_ns = self._around.start_ns()
         if zero_ns is None:
             ticks.take_back(deadline_ns)
         elif zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns)):

@@ -11,6 +11,7 @@ from agent.modes import WAY_BACK, Event, Mode
 from drivers.interface import Driver, DriverError, JointState, Recovering, ServoFault, StaleStateError, WaitEnded
 
 KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays until somebody says a word
+_BROUGHT_BACK = KEEPS | {Mode.REST}  # where servos that have stopped are made to obey again: the arm stands still
 
 
 class Sight:
@@ -34,9 +35,9 @@ class Sight:
         self._blamed = ""  # why the arm stands, where that is something unseen
 
     def plan(self, deadline_ns: int, mode: Mode) -> Bus:
-        """What this cycle does on the bus; an arm that lapsed is brought back in HOLD, and by its driver."""
+        """What this cycle does on the bus; an arm that lapsed and stands is brought back, by its driver."""
         arm = self._recovering
-        lapsed = arm is not None and mode in KEEPS and arm.lapsed
+        lapsed = arm is not None and mode in _BROUGHT_BACK and arm.lapsed
         bus = self._cycles.plan(deadline_ns, lapsed=lapsed, recovers=arm is not None)
         if bus is not Bus.RECOVER or arm is None:
             return bus

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from agent.around import Surroundings
 from agent.modes import Mode
 from agent.session import way_back
+
+OBEYS_AGAIN: Final = "its servos had stopped, and obey again"
 
 
 class Telling:
@@ -27,6 +31,13 @@ class Telling:
         self._told_at_rest = reason
         if self._around.trouble is not None:
             self._around.trouble(way_back(Mode.REST, reason))
+
+    def resumed(self, mode: Mode, reason: str) -> str:
+        """Why an arm stands whose servos had stopped and obey again: nothing is wrong any more with one that rests."""
+        if mode is not Mode.REST:
+            return reason
+        self.at_rest(OBEYS_AGAIN)
+        return ""
 
     def stands(self, mode: Mode, reason: str, *, seen: bool) -> None:
         """Why an arm has stopped in this mode when nobody asked it to; seen: it answers now."""

@@ -7,6 +7,8 @@ import pytest
 
 from agent.control.memory import Memory, restore
 from agent.modes import Event, Mode
+from agent.safety import Flag
+from agent.telling import OBEYS_AGAIN
 from tests.support.runner_rig import HOLD_AFTER_STALE, Done, lost, lost_at, run
 from tests.support.session_script import TO_READY, Script, cell, faulty, floating, guided, pushed, run_of
 
@@ -109,6 +111,16 @@ def test_what_is_wrong_with_an_arm_at_rest_is_told_once() -> None:
     assert done.troubles == [f"{faulty()}; way back: `coop release`"]
     assert run_of(Script({4: Event.GRASP}), last=6, refused=frozenset({3})).troubles == [], "a word is no trouble"
     assert run_of(Script({4: Event.STOP}, {4: "not now"}), last=6).troubles == [], "nor is a stop"
+
+
+def test_an_arm_at_rest_whose_servos_had_stopped_obeys_again_where_it_is_and_says_so() -> None:
+    other = faulty("servo 3")
+    lapses = {"lapses": frozenset({4})}
+    done = run_of(Script({}), last=12, failures={3: faulty(), 8: other, 9: other}, returning=lapses)
+    assert done.rows["mode"].tolist() == [Mode.REST] * len(done.rows)
+    assert np.flatnonzero(done.rows["flags"] & Flag.RESUMED).tolist() == [4]
+    back = " way back: `coop release`"
+    assert done.troubles == [f"{faulty()};{back}", f"{OBEYS_AGAIN};{back}", f"{other};{back}"]
 
 
 @pytest.mark.parametrize(("later", "ends"), [("servo 2", Mode.PARK), ("servo 3", Mode.HALT)])

@@ -15,7 +15,7 @@ from drivers.interface import DriverError, JointState, ServoFault, StaleStateErr
 
 PERIOD_NS = 5_000_000
 PATIENCE = Patience()
-KEEPS = {Mode.HOLD, Mode.HALT, Mode.STAND}
+STANDS = {Mode.HOLD, Mode.HALT, Mode.STAND, Mode.REST}
 STATE = JointState(7, np.zeros(3), np.zeros(3), np.zeros(3))
 NAN = np.array([0.0, np.nan, 0.0])
 
@@ -79,8 +79,8 @@ def test_an_arm_that_lapsed_is_brought_back_where_it_keeps_its_place_alone(mode:
     driver = Returns(True)
     seen, resumed = sight(driver)
     assert seen.plan(0, mode) is Bus.READ
-    assert resumed == (["yes"] if mode in KEEPS else [])
-    assert driver.recovers == ([] if mode in KEEPS else [True])
+    assert resumed == (["yes"] if mode in STANDS else [])
+    assert driver.recovers == ([] if mode in STANDS else [True])
 
 
 def test_whoever_watches_the_loop_is_told_before_an_arm_is_brought_back() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.around import Surroundings
 from agent.modes import Event, Mode
-from agent.telling import Telling
+from agent.telling import OBEYS_AGAIN, Telling
 
 TEXT = "servo 3: too hot"
 
@@ -35,6 +35,14 @@ def test_an_arm_at_rest_says_each_reason_once() -> None:
     for reason in (TEXT, TEXT, "its supply is low"):
         telling.at_rest(reason)
     assert texts == [f"{TEXT}; way back: `coop release`", "its supply is low; way back: `coop release`"]
+
+
+def test_of_servos_that_obey_again_an_arm_at_rest_tells_and_one_that_holds_keeps_its_reason() -> None:
+    telling, texts = told(in_session=True)
+    assert telling.resumed(Mode.HOLD, TEXT) == TEXT
+    assert texts == []
+    assert telling.resumed(Mode.REST, TEXT) == ""
+    assert texts == [f"{OBEYS_AGAIN}; way back: `coop release`"]
 
 
 def test_a_loop_may_have_nobody_to_tell() -> None:
