@@ -16,14 +16,13 @@ from agent.verify.support import HELD_SAG_M, Fate, Support
 def findings_of(cell: Cell, instants: Sequence[float], arm: int, found: Support) -> list[Finding]:
     """What becomes of the others and the object when this arm fails; instants: of the places, s."""
     bound, where = cell.file.safety.tau_max_fraction_of_stall, cell.arms[arm].name
-    sag = f"sags by {found.sag_m * 1e3:.2g} mm" if math.isfinite(found.sag_m) else "falls"
     remedy = "switch on safety.noticing" if found.noticed_s is None else "move more slowly"
     remedy += ", squeeze less" * any(a.entry.internal_wrench_N_Nm for a in cell.arms)
     stays = ("locked", found.locked.most, found.locked_s), ("holding", found.holding.most, found.holding_s)
     return [
         judged(
             "this arm limp", where,
-            f"{_loaded(cell, instants, found.limp.most)}; {sag}; at the stated tolerance: {found.fate.value}",
+            f"{_loaded(cell, instants, found.limp.most)}; {_sag(found)}; at the stated tolerance: {found.fate.value}",
             f"held within {HELD_SAG_M * 1e3:g} mm by {bound:.0%} of stall", holds=found.fate is Fate.HELD,
             otherwise=Verdict.WARNING,
             remedy="have a support below the object, a pose with less load, lighter arms or stiffer gains",
@@ -47,8 +46,18 @@ def document_of(cell: Cell, instants: Sequence[float], found: Support) -> dict[s
     for loads, after_s in ((locked, found.locked_s), (holding, found.holding_s)):
         for place, at_s in zip(loads["along"], after_s, strict=True):
             place["noticed_s"] = at_s
-    limp |= {"sag_m": found.sag_m, "object": found.fate.value}
+    limp |= {"sag_m": found.sag_m, "crept_m": found.crept_m, "object": found.fate.value}
     return {"noticed_s": found.noticed_s, "limp": limp, "locked": locked, "holding": holding}
+
+
+def _sag(found: Support) -> str:
+    """How far the object goes, from what friction of the joints leaves at first to what it comes to as they creep."""
+    sag_mm, crept_mm = found.sag_m * 1e3, found.crept_m * 1e3
+    if math.isinf(sag_mm):
+        return "falls"
+    if math.isinf(crept_mm):
+        return f"sags by {sag_mm:.2g} mm, then creeps and falls"
+    return f"sags by {sag_mm:.2g} mm, {crept_mm:.2g} as joints creep"
 
 
 def _fought(cell: Cell, instants: Sequence[float], load: Load, after_s: Sequence[float] | None) -> str:

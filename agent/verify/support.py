@@ -11,8 +11,9 @@ the object sags by the x at which, torque bounds and all,
     Σ_i (J_i⁻ᵀ (τ_i − g_i)) + f = W_O + J⁻ᵀ g,
 
 f the friction of all joints: when any friction within its bounds balances the weights, it does, as in the limit
-analysis of plastic bodies.  HELD is what sags by at most `HELD_SAG_M` with all weights at their largest and friction at
-its least, as `[tolerance]` states them, breakaway not counted; NOT_HELD is what sags by more the other way round,
+analysis of plastic bodies.  But joints creep where motors are at their bounds and friction alone bears the rest, so
+HELD is what sags by at most `HELD_SAG_M` without any friction, with all weights at their largest and what motors give
+at its least, as `[tolerance]` states them; NOT_HELD is what sags by more the other way round, with the most friction,
 joints at rest resisting by more than moving ones; in between either may happen.  Friction that grows with load is that
 of the torque that holds arm and share (the motors of a limp arm give none), for NOT_HELD that of the largest torque.
 
@@ -68,6 +69,7 @@ class Support:
     holding_s: tuple[float, ...]
     limp: Loads  # what motors give, feed-forward and all, where joints have no friction and torques no bounds
     sag_m: float  # as the files say, with both; infinite where it falls
+    crept_m: float  # to which it sags in the end without friction, within the bounds of torque; infinite likewise
     fate: Fate  # whatever of the stated tolerance is true
     locked: Loads
     holding: Loads
@@ -76,10 +78,11 @@ class Support:
 
 @dataclass(frozen=True, slots=True)
 class _Reality:
-    """Weights and friction, times what the files say."""
+    """Weights, friction, and what motors give of a torque that is asked of them, times what the files say."""
 
     arm: float
     object: float
+    torque: float
     friction: float
     resists: Callable[[Rubbing, Matrix], Matrix]  # what joints do while their motors give so much, as the files say
     pressed: float = 0.0  # of stall, what motors may give where that is more than what holds arm and share
@@ -108,17 +111,17 @@ class Statics:
         self._ahead = None if safety.noticing.enabled else to_the_end(cell, instants) @ P.T
         sense = coordination.residual(cell, cell.arms[0])
         self._feeling = None if sense is None else Feeling(cell, sense, instants)
-        # an arm's weight against its torque: masses and torque constants are independent
-        off = math.hypot(tolerance.masses, tolerance.torque_constant)
-        low, high = tolerance.friction
-        self._worst = _Reality(1.0 + off, 1.0 + tolerance.object, low, Rubbing.moving)
-        self._best = _Reality(1.0 - off, 1.0 - tolerance.object, high, Rubbing.at_most, self._bound)
+        off, weak, most = tolerance.masses, tolerance.torque_constant, tolerance.friction[1]
+        self._worst = _Reality(1.0 + off, 1.0 + tolerance.object, 1.0 - weak, 0.0, Rubbing.moving)
+        self._best = _Reality(1.0 - off, 1.0 - tolerance.object, 1.0 + weak, most, Rubbing.at_most, self._bound)
 
     def without(self, failed: int) -> Support:
         """What the others bear when this arm fails; there must be others."""
         others = [i for i in range(len(self._arms)) if i != failed]
-        x = self._sag(failed, others, _Reality(1.0, 1.0, 0.0, Rubbing.moving), math.inf)
-        as_said = _Reality(1.0, 1.0, 1.0, Rubbing.at_rest)
+        smooth, as_said = _Reality(1.0, 1.0, 1.0, 0.0, Rubbing.moving), _Reality(1.0, 1.0, 1.0, 1.0, Rubbing.at_rest)
+        x = self._sag(failed, others, smooth, math.inf)
+        limp = self._loads(others, x)
+        crept = x if limp.most.share <= self._bound else self._sag(failed, others, smooth, self._bound)
         sags = [self._sizes(self._sag(failed, others, r, self._bound)) for r in (self._worst, as_said, self._best)]
         worst, expected, best = (float(sizes.max()) for sizes in sags)
         fate = Fate.HELD if worst <= HELD_SAG_M else Fate.MAY_FALL
@@ -139,8 +142,9 @@ class Statics:
             noticed_s=noticed_s if feeling is not None else None,
             locked_s=locked_s,
             holding_s=holding_s,
-            limp=self._loads(others, x),
+            limp=limp,
             sag_m=expected,
+            crept_m=max(expected, float(self._sizes(crept).max())),
             fate=fate,
             locked=locked,
             holding=holding,
@@ -197,7 +201,7 @@ class Statics:
                 steep = np.zeros_like(arm.Jt)
                 if i != failed:
                     wanted, steep = arm.law(x)  # which believes in the weights of the files
-                    given = np.clip(wanted, -bound * arm.stall, bound * arm.stall)
+                    given = reality.torque * np.clip(wanted, -bound * arm.stall, bound * arm.stall)
                     tau = given - reality.arm * arm.g
                     still = wanted == 0.0  # far from its bound: the whole slope
                     steep = np.where(still, 1.0, given / np.where(still, 1.0, wanted))[..., None] * steep

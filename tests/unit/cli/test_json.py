@@ -66,7 +66,9 @@ def test_check_gives_findings_a_verdict_and_the_start() -> None:
     each = {"survivors": {"right": {key: kind for key, kind in LOAD.items() if key != "arm"}}}
     assert shape(robustness["one_arm_fails"]["left"]) == {
         "noticed_s": "NoneType",
-        "limp": LOAD | each | {"sag_m": "float", "object": "str", "along": [LOAD | {"sag_m": "float"}]},
+        "limp": LOAD | each | {
+            "sag_m": "float", "crept_m": "NoneType", "object": "str", "along": [LOAD | {"sag_m": "float"}]
+        },
         "locked": LOAD | each | {"along": [LOAD | {"noticed_s": "NoneType"}]},
         "holding": LOAD | each | {"along": [LOAD | {"noticed_s": "NoneType"}]},
     }  # fmt: skip
