@@ -7,6 +7,7 @@ its program: /proc/PID/exe names none any more.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
@@ -42,10 +43,8 @@ class ProcessHandle:
 
     def kill(self, meanwhile: Callable[[], None]) -> None:
         """End it, whatever it does, and wait until it is gone; meanwhile is called again and again."""
-        try:
+        with contextlib.suppress(ProcessLookupError):
             signal.pidfd_send_signal(self._fd, signal.SIGKILL)
-        except ProcessLookupError:
-            return
         while self._has_program() and not _is_readable(self._fd, KILL_LOOK_MS):
             meanwhile()
 
@@ -54,21 +53,20 @@ class ProcessHandle:
         os.close(self._fd)
 
     def _has_program(self) -> bool:
-        if self._program is None:
-            return True
-        try:
-            self._program.readlink()  # takes some µs, and keeps none of the memory that is given back
-        except FileNotFoundError:
-            return False
-        except OSError:
-            return True
+        if self._program is not None:
+            try:
+                self._program.readlink()  # takes some µs, and keeps none of the memory that is given back
+            except FileNotFoundError:
+                return False
+            except OSError:
+                pass  # nobody may be taken for gone who is not
         return True
 
 
 def _pid_of(pidfd: int) -> int:
     """As this process's /proc has it; -1 once it has ended."""
-    of = dict(line.split(":", 1) for line in Path(f"/proc/self/fdinfo/{pidfd}").read_text().splitlines())
-    return int(of["Pid"])
+    lines = Path(f"/proc/self/fdinfo/{pidfd}").read_text().splitlines()
+    return int(dict(line.split(":\t") for line in lines)["Pid"])
 
 
 def _is_readable(fd: int, timeout_ms: int) -> bool:

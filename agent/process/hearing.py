@@ -59,15 +59,13 @@ class Hearing:
 
     def _first(self, path: Path, wait_s: float) -> ControlSocket | None:
         try:
-            heard = self._listen(path, wait_s)
+            return self._listen(path, wait_s)
         except ControlError as error:
             if not self._left:
                 self._tell.event(
                     Level.ERROR, f"no word reaches this hold, SIGUSR1 to process {os.getpid()} releases it: {error}"
                 )
             return None
-        self._left = 0
-        return heard
 
     def _listen(self, path: Path, wait_s: float) -> ControlSocket:
         control = ControlSocket(path, self._fingerprint, self._standing, wait_s)

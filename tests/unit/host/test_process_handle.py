@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from agent.host import process_handle
 from agent.host.process_handle import ProcessHandle
 
 # enough memory that giving it back takes a while
@@ -126,6 +127,35 @@ def test_where_it_cannot_be_seen_what_a_process_does_its_handle_alone_says_that_
         waits_for(lambda seen=handle: seen.gone)
         assert handle.ended
         handle.close()
+
+
+@pytest.mark.fault("P2")
+def test_one_that_is_stopped_is_killed_and_waited_for_until_it_is_gone_and_no_longer(started: Started) -> None:
+    for _ in range(20):
+        process = started(SIZE)
+        process.send_signal(signal.SIGSTOP)
+        handle = handle_of(process)
+        handle.kill(Meanwhile())
+        ended = handle.ended
+        assert handle.gone
+        assert process.wait() == -signal.SIGKILL
+        handle.close()
+        if not ended:
+            return
+    pytest.fail("it had always ended")
+
+
+@pytest.mark.fault("P2")
+def test_one_of_which_nothing_is_seen_is_killed_and_waited_for_until_it_has_ended(
+    started: Started, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "readlink", lambda _: (_ for _ in ()).throw(PermissionError))
+    monkeypatch.setattr(process_handle, "KILL_LOOK_MS", 10_000)
+    process = started(SIZE)
+    handle = handle_of(process)
+    handle.kill(lambda: pytest.fail("looked again and again"))
+    assert handle.ended
+    handle.close()
 
 
 @pytest.mark.fault("P2")

@@ -11,7 +11,9 @@ from typing import Any, cast
 import pytest
 
 from agent.host.process_handle import ProcessHandle
+from agent.operator.error import ControlError
 from agent.operator.socket import ControlSocket, Standing
+from agent.process import hearing
 from agent.process.hearing import AGAIN_S, FIRST_CYCLES, Hearing
 from agent.process.tellers import Teller
 from agent.telemetry.row.event import Level
@@ -102,3 +104,29 @@ def test_a_hold_that_is_to_hear_no_words_makes_no_socket(tmp_path: Path, stack: 
     assert bench.hearing.begin() is None
     assert bench.looks(2 * PERIOD) == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_socket_is_waited_for_before_the_first_cycle_alone_and_tried_for_in_twenty_and_then_once_a_second(
+    tmp_path: Path, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits: list[float] = []
+
+    def refused(*given: Any) -> None:
+        waits.append(given[-1])
+        raise ControlError("socket", found="a file", expected="none", remedy="remove it")
+
+    monkeypatch.setattr(hearing, "ControlSocket", refused)
+    bench = Bench(tmp_path, stack, ended=False)
+    bench.agent.ended = True
+    assert bench.looks(20) == []
+    assert (waits, len(bench.told)) == ([0.0] * 20, 1)
+    assert bench.looks(49) == []
+    assert waits == [0.0] * 20
+    assert bench.looks(51) == []
+    assert (waits, len(bench.told)) == ([0.0] * 22, 1)
+    waits.clear()
+    late = Bench(tmp_path, stack, ended=True)
+    assert late.hearing.begin() is None
+    assert (waits, len(late.told)) == ([0.02], 1)
+    assert late.looks(49) == []
+    assert waits == [0.02]
