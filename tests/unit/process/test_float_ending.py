@@ -53,6 +53,8 @@ def test_it_floats_until_it_is_told_to_stop_seen_or_not() -> None:
         assert bench.after(100.0, fastest) is Event.NONE
         bench.stops = True
         assert bench.after(0.0, fastest) is Event.STOP
+        bench.stops = False
+        assert bench.after(0.1, fastest) is Event.STOP, "a guard that is gone is told of once"
 
 
 def test_it_stands_for_three_seconds_and_sinks_only_when_it_is_seen() -> None:
