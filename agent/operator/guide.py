@@ -126,6 +126,10 @@ _HELD_BRIEFLY = replace(  # of agents that let go where they are stopped
 _CARRIES = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 _EMPTY = frozenset({Mode.REST, Mode.APPROACH, Mode.PARK, Mode.HALT})  # it holds nothing
 _STAYS = frozenset({Mode.READY, Mode.HOLD})
+_ALONE = {  # by how the guard is
+    "gone": "its guard is gone, and nobody goes on should its agent end: start it",
+    "hangs": "its guard hangs, and nobody goes on should its agent end: look at its log, start it anew",
+}
 _DEAF = "{}: no word reaches it; its log says why, then end its process"
 _WAIT = "wait until it answers"
 _NOT_SEEN = (
@@ -167,8 +171,9 @@ def lines(arms: Sequence[Mapping[str, Any]], cell: str, option: str = "--arm") -
         if mode in way.steps:  # else a hand guides it
             modes[name] = mode
         what = way.steps[mode].seen if mode in way.steps else TABLE[mode].says
-        said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, (what, *unfit(arm), arm["reason"]))))
-    back = any(arm["no_start"] for arm in heard)
+        whole = what, _ALONE.get(arm["guard"]), *unfit(arm), arm["reason"]
+        said.append(f"{name}: {mode.name}: " + "; ".join(filter(None, whole)))
+    back = any(arm["no_start"] or arm["guard"] in _ALONE for arm in heard)
     elsewhere = [arm["arm"] for arm in heard if arm["same_cell"] is False]
     if elsewhere:
         told = [_OTHER_FILE.format(", ".join(elsewhere))]

@@ -96,6 +96,10 @@ class _Guard:
         self._clock = MonotonicClock()
         self._port = self._open_port()
         stack.callback(self._close_port)
+        quiet_memory()
+        if options.priority is not None:
+            become_realtime(options.priority)
+        # an agent that comes is answered at once: memory takes a second to lock
         self._line = stack.enter_context(GuardEnd(options.socket, cell.fingerprint))
         self._aside = Aside()
         self._told, self._drivers = dict[str, Any](), tuple[int, ...]()  # by the agent: of its driver
@@ -104,9 +108,6 @@ class _Guard:
         self._driver: Standby | None = None
         stack.callback(self._let_go)
         self._stroked_ns = 0
-        quiet_memory()
-        if options.priority is not None:
-            become_realtime(options.priority)
         self._notifier.ready(WAITING)
 
     def _open_port(self) -> SerialPort | None:

@@ -52,6 +52,7 @@ def arm(name: str, mode: str | None, reason: str = "", **other: Any) -> dict[str
         "no_start": None,
         "session": True,
         "drops_on_stop": False,
+        "guard": "watches",
     }
     return {"arm": name, "mode": mode, "reason": reason, "last_row_age_s": 0.0, **own, **other}
 
@@ -66,6 +67,22 @@ def silent(name: str, mode: str | None, **other: Any) -> dict[str, Any]:
         "failed_utc_ns": 0,
     }
     return arm(name, mode, **(gone | {"same_cell": None} | other))
+
+
+@pytest.mark.fault("P7")
+@pytest.mark.parametrize(
+    ("how", "said"), [("gone", "its guard is gone, and nobody goes on"), ("hangs", "its guard hangs")]
+)
+def test_an_arm_whose_guard_is_gone_or_hangs_is_led_back_and_its_guard_is_named(how: str, said: str) -> None:
+    """It refuses what would lead it on."""
+    beside = arm("left", "REST")
+    first, second, then = lines([beside, arm("right", "REST", guard=how)], "mine.toml")
+    assert "guard" not in first
+    assert said in second
+    assert then == "next: coop release mine.toml ends it"
+    assert lines([arm("left", "HALT", guard=how)], "mine.toml")[1] == "next: coop park mine.toml"
+    assert lines([beside, beside], "mine.toml")[2].startswith("next: put the object in its place")
+    assert lines([beside, arm("right", "REST", guard=None)], "mine.toml")[2].startswith("next: put the object")
 
 
 def test_the_cell_stands_in_every_line_of_arms_that_are_alike() -> None:
