@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from tests.mutate.equivalent.checks import CHECKS
 from tests.mutate.equivalent.control import CONTROL
 from tests.mutate.equivalent.driver import DRIVER
-from tests.mutate.equivalent.host import HOST
 from tests.mutate.equivalent.logs import LOGS
 from tests.mutate.equivalent.view import VIEW
 from tests.mutate.mutants import Mutant
 
-EQUIVALENT = {**CONTROL, **CHECKS, **LOGS, **DRIVER, **HOST, **VIEW}
+EQUIVALENT = {**CONTROL, **CHECKS, **LOGS, **DRIVER, **VIEW}
 
 
 def why_equivalent(mutant: Mutant) -> str:

@@ -148,13 +148,22 @@ CONTROL: Entries = {
     "agent.guard.guarded": {
         ("Guarded.poll", "self._cycles += 1", "self._cycles -= 1"): _EVERY,
     },
+    "agent.host.process_handle": {
+        ("", "KILL_LOOK_MS = 5", "KILL_LOOK_MS = 4"): _HOW_OFTEN,
+        ("", "KILL_LOOK_MS = 5", "KILL_LOOK_MS = 6"): _HOW_OFTEN,
+        (
+            "ProcessHandle.ended",
+            "return _is_readable(self._fd, 0)",
+            "return _is_readable(self._fd, 1)",
+        ): "finds the same, a bit later",
+    },
+    "agent.process.hearing": {
+        ("Hearing._first", "return None", "pass"): "the end of the function",
+    },
     "agent.guard.watched": {
-        ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 40"): _HOW_OFTEN,
-        ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 10"): _HOW_OFTEN,
         ("Watched.hangs", _NEW_ROWS, "if True:"): _NOTHING_NEW,
         ("Watched.hangs", _NEW_ROWS, _NEW_ROWS.replace(">", ">=")): _NOTHING_NEW,
         ("Watched.inherit", "if self.text_ring.damage:", "if True:"): "a whole file is mended to what it is",
-        ("Watched.gone", "return _ended(self.pidfd, 0)", "return _ended(self.pidfd, 1)"): "finds the same, a bit later",
     },
     "agent.process.float_loop": {
         ("Ending.__init__", _COUNTS, _COUNTS.replace("0.0", "1.0")): "read in SINK, and each mode begins them anew",
