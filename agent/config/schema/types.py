@@ -1,6 +1,7 @@
 """Kinds of values that every part of the schema uses, each with the range in which it can be meant.
 
-The ranges are wide: they refuse a slip of the decimal point or of the unit, not a bold choice.
+The ranges are wide: they refuse a slip of the decimal point or of the unit, not a bold choice.  Masses, moments
+and lengths have least values, with which the figures of a check stay finite.
 """
 
 from __future__ import annotations
@@ -60,13 +61,14 @@ def _printable(value: str) -> str:
 
 Label = Annotated[str, Field(min_length=1, max_length=128), AfterValidator(_printable)]  # of a joint, a frame, a port
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Length = Annotated[float, Field(gt=0.0, le=10.0)]  # m
+Length = Annotated[float, Field(ge=1e-6, le=10.0)]  # m
 Coordinate = Annotated[float, Field(ge=-100.0, le=100.0)]  # m
 Speed = Annotated[float, Field(gt=0.0, le=100.0)]  # m/s or rad/s
 Angle = Annotated[float, Field(ge=-100.0, le=100.0)]  # rad; several turns may be meant
 Attitude = Annotated[float, Field(gt=0.0, le=math.pi)]  # rad, size of an attitude error
-Mass = Annotated[float, Field(gt=0.0, le=100.0)]  # kg
-Moment = Annotated[float, Field(gt=0.0, le=100.0)]  # kg·m²
+Mass = Annotated[float, Field(ge=1e-6, le=100.0)]  # kg
+MOMENT_MIN_KG_M2: Final = 1e-12
+Moment = Annotated[float, Field(ge=MOMENT_MIN_KG_M2, le=100.0)]  # kg·m²
 Instant = Annotated[float, Field(ge=0.0, le=1e6)]  # s; a million seconds are eleven days
 LinearStiffness = Annotated[float, Field(ge=10.0, le=1e8)]  # N/m, of a grasp
 AngularStiffness = Annotated[float, Field(ge=0.01, le=1e6)]  # N·m/rad

@@ -34,6 +34,8 @@ from tests.support.config.mutations import (
 
 CPU_S = 10.0
 LONGEST_REFUSAL = 3000  # characters
+# wired, thorough: as runs look, and in one example of eleven as `coop check` does, which takes a second
+LOOKS = [(None, None), (True, None)] * 5 + [(True, True)]
 EXAMPLES = max(200, settings().max_examples)  # 3000 in `make fuzz`
 CELLS = sorted(configs.CELLS_DIR.glob("*.toml"))
 PAPER = (configs.CELLS_DIR / "paper.toml").read_text()
@@ -65,12 +67,12 @@ def limited(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def result_or_refusal(load: Callable[[], Cell], wired: bool | None) -> bool:
+def result_or_refusal(load: Callable[[], Cell], wired: bool | None, thorough: bool | None = None) -> bool:
     """Load, check, and build what a run builds of a cell that is accepted; whether it was."""
     with limited(CPU_S):
         try:
             cell = load()
-            report = examine(cell, wired=wired)
+            report = examine(cell, wired=wired, thorough=thorough)
             for line in (f.line for f in report.findings):
                 assert line.isprintable(), repr(line)
             report.require()
@@ -110,7 +112,7 @@ def test_what_is_not_changed_passes(folder: Path) -> None:
 @pytest.mark.fault("G1")
 def test_changed_files_give_a_result_or_a_refusal(folder: Path, data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(sorted(TEXTS_OF_CELLS)), label="cell")
-    text, wired = TEXTS_OF_CELLS[name], data.draw(st.sampled_from([None, True]))
+    text, looks = TEXTS_OF_CELLS[name], data.draw(st.sampled_from(LOOKS), label="wired, thorough")
     what = data.draw(
         st.sampled_from(["cell", "cell", "csv"] if name == "file" else ["cell", "cell", "arm", "gripper", "urdf"])
     )
@@ -119,7 +121,7 @@ def test_changed_files_give_a_result_or_a_refusal(folder: Path, data: st.DataObj
         cell.write_bytes(_changed(data, text) if what == "cell" else text.encode())
         way.write_bytes(spliced(data, WAY, CSV_SPLICES) if what == "csv" else WAY.encode())
         overrides = data.draw(st.lists(_overrides(text), max_size=2), label="overrides")
-        result_or_refusal(lambda: load_cell(cell, overrides), wired)
+        result_or_refusal(lambda: load_cell(cell, overrides), *looks)
         return
     model = data.draw(st.sampled_from(sorted({arm["model"] for arm in tomllib.loads(text)["arms"]})), label="arm")
     shipped = configs.ARMS_DIR / f"{model}.toml"
@@ -134,7 +136,7 @@ def test_changed_files_give_a_result_or_a_refusal(folder: Path, data: st.DataObj
             target.write_bytes(tomli_w.dumps(arm | {"gripper": changed}).encode())
         else:
             target.write_bytes(spliced(data, original.decode(), URDF_SPLICES))
-        result_or_refusal(lambda: cell_from_toml(text.encode(), name, folder / "arms"), wired)
+        result_or_refusal(lambda: cell_from_toml(text.encode(), name, folder / "arms"), *looks)
     finally:
         target.write_bytes(original)
 

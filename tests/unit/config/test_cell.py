@@ -51,7 +51,7 @@ def test_every_shipped_cell_passes_its_checks() -> None:
     [
         ("mass_kg = 0.062", "mas_kg = 0.062", "did you mean mass_kg"),
         ("mass_kg = 0.062\n", "", "object.mass_kg in paper.toml: found nothing"),
-        ("mass_kg = 0.062", "mass_kg = -1.0", "greater than 0"),
+        ("mass_kg = 0.062", "mass_kg = -1.0", "greater than or equal to 0.000001"),
         ("mass_kg = 0.062", "mass_kg = nan", "object.mass_kg"),
         ("mass_kg = 0.062", 'mass_kg = "62 g"', "object.mass_kg"),
         ("rate_hz = 200.0", "rate_hz = 5.0", "greater than or equal to 20"),

@@ -70,7 +70,7 @@ def test_units_stand_in_names(name: str, unit: str) -> None:
 
 def test_ranges_and_defaults_are_those_of_the_schema() -> None:
     by_name = {(k.table, k.name): k for k in keys.all_keys()}
-    assert by_name["[object]", "mass_kg"].kind == "number > 0 ≤ 100"
+    assert by_name["[object]", "mass_kg"].kind == "number ≥ 1e-06 ≤ 100"
     assert by_name["[object]", "mass_kg"].default == "needed"
     assert by_name["[controller.alignment]", "dead_zone_m"].default == "`0.0015`"
     assert by_name["[[simulation.push]]", "at_s"].default == "needed"

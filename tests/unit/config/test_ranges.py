@@ -21,9 +21,10 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("rate_hz", 20.0, 2000.0),
     ("loop_delay_s", 0.0, 0.005),
     ("duration_s", None, 1e6),
-    ("object.mass_kg", None, 100.0),
-    ("object.size_m", None, 10.0),
+    ("object.mass_kg", 1e-6, 100.0),
+    ("object.size_m", 1e-6, 10.0),
     ("object.p_start_m", -100.0, 100.0),
+    ("object.inertia_kg_m2.xx", 1e-12, None),
     ("object.inertia_kg_m2.xy", -100.0, 100.0),
     ("trajectory.p_amplitude_m", -100.0, 100.0),
     ("trajectory.angle_rad", -100.0, 100.0),
@@ -39,7 +40,7 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("controller.adaptive.factor.coulomb", 0.0, 1e6),
     ("controller.adaptive.start_scale", 0.0, 100.0),
     ("controller.adaptive.bounds.slack_m", 0.0, 10.0),
-    ("controller.adaptive.bounds.mass_max_kg", None, 100.0),
+    ("controller.adaptive.bounds.mass_max_kg", 1e-6, 100.0),
     ("controller.adaptive.bounds.viscous_max_Nm_s_per_rad", None, 100.0),
     ("safety.sigma_min", None, 1.0),
     ("safety.start_error_max_m", None, 1.0),
@@ -174,7 +175,7 @@ def test_the_ends_of_a_range_are_in_it_and_what_lies_beyond_is_refused(
     if key != "object.inertia_kg_m2.xy":  # no tensor with such products is physical
         for end in (low, high):
             assert end is None or read(path, key, end)
-    refused(path, key, -1e-9 if low is None else low - 1e-6 * max(1.0, abs(low)))
+    refused(path, key, -1e-9 if low is None else low - 1e-6 * (abs(low) or 1.0))
     if low is None:
         refused(path, key, 0.0)
     if high is not None:

@@ -6,6 +6,7 @@ import pytest
 
 import configs
 from agent.config.cell import Cell, ConfigError, cell_from_toml, load_cell
+from agent.verify.check import examine
 from agent.verify.finding import Finding, Verdict
 from agent.verify.plausible import plausibility
 
@@ -58,10 +59,23 @@ def test_gravity_of_another_unit_is_refused(gravity: float) -> None:
         load_cell(PAPER, [f"world.gravity_m_per_s2=[0.0, {-gravity}, 0.0]"])
 
 
+def test_the_least_object_that_a_cell_may_have_is_examined_to_the_end() -> None:
+    """With 1e-100 kg, figures of the cell with soft grasps were infinite, and sides of 1e-120 m have no volume."""
+    least = ["object.mass_kg=1e-6", "object.size_m=[1e-6, 1e-6, 1e-6]"]
+    cell = load_cell(PAPER, [*least, "object.inertia_kg_m2={xx=1e-12, yy=1e-12, zz=1e-12}"])
+    examine(cell, wired=True, thorough=True).require()
+    less = {"object.mass_kg": 1e-7, "object.size_m": [0.1, 0.1, 1e-7], "object.inertia_kg_m2.xx": 1e-13}
+    for key, value in less.items():
+        with pytest.raises(ConfigError, match=rf"^{key}[.0-9]* in paper\.toml.*greater than or equal to 0\.0000"):
+            load_cell(PAPER, [f"{key}={value}"])
+    with pytest.raises(ConfigError, match=r"object\.inertia_kg_m2 in .*expected 1e-12 at least"):
+        load_cell(PAPER, ["object.inertia_kg_m2={xx=1e-4, yy=1e-4, zz=2e-4, xy=0.99999999999999e-4}"])
+
+
 @pytest.mark.parametrize(
     ("changes", "warned"),
     [
-        (["object.mass_kg=1e-9"], ["density of the object's box", "inertia of the object"]),
+        (["object.mass_kg=1e-6"], ["density of the object's box", "inertia of the object"]),
         (
             ["object.mass_kg=2.6e-4", "object.inertia_kg_m2={xx=1e-9, yy=1e-9, zz=1e-9}"],
             ["density of the object's box"],
