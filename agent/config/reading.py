@@ -8,7 +8,6 @@ from __future__ import annotations
 import codecs
 import difflib
 import re
-import stat
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,10 +18,10 @@ from pydantic import BaseModel, ValidationError
 import configs
 from agent.config.schema.types import IN_WORDS, MISFIT, nearest
 from agent.config.tables import tables
+from drivers import named_file
 from drivers.interface import Refusal, one_line
 
 M = TypeVar("M", bound=BaseModel)
-LARGEST_BYTES: Final = 16_000_000
 SCREENFUL: Final = 40  # lines of refusal
 NO_SUCH_KIND, WITHOUT_KIND = "union_tag_invalid", "union_tag_not_found"  # as pydantic says it
 _UTF_16 = "text in UTF-16", "save it as UTF-8"
@@ -82,16 +81,11 @@ def refuse_all(problems: Sequence[ConfigError]) -> None:
 def read_file(path: Path) -> bytes:
     """Bytes of a file of text.  Raises ConfigError."""
     try:
-        found = path.stat()
-        if stat.S_ISREG(found.st_mode):
-            _refuse_no_text(path)
-        if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
-            what = "no regular file" if not stat.S_ISREG(found.st_mode) else f"{found.st_size / 1e6:.0f} MB"
-            raise ConfigError(
-                f"file {path}", found=what, expected=f"a file of at most {LARGEST_BYTES / 1e6:.0f} MB",
-                remedy="name the file itself",
-            )  # fmt: skip
-        return path.read_bytes()
+        named_file.size_of(path)
+        _refuse_no_text(path)  # before its size: a log is named as one
+        return named_file.read(path)
+    except named_file.UnfitFile as error:
+        raise ConfigError(error.what, found=error.found, expected=error.expected, remedy=error.remedy) from error
     except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise ConfigError(

@@ -15,6 +15,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from drivers import named_file
 from drivers.interface import Refusal
 from sim_backend.wire.bus import Tampered
 
@@ -119,13 +120,17 @@ def read_lines(path: Path, servos: Mapping[str, Collection[int]]) -> list[Fault]
     Raises FaultError, which names the file.
     """
     try:
-        faults = parse_lines(path.read_text(encoding="utf-8"))
+        faults = parse_lines(named_file.read(path).decode())
         require_known(faults, servos)
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # no text, or a name with a zero byte
         raise FaultError(
             f"faults file {path}", found=error.strerror if isinstance(error, OSError) else "bytes that are no text",
             expected="a readable file, one JSON object per line", remedy="name another with --faults",
         ) from error  # fmt: skip
+    except named_file.UnfitFile as error:
+        raise FaultError(
+            f"faults {error.what}", found=error.found, expected=error.expected, remedy=error.remedy
+        ) from error
     except FaultError as error:
         raise FaultError(
             f"faults file {path}, {error.what}", found=error.found, expected=error.expected, remedy=error.remedy

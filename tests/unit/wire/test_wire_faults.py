@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import HardwareError, Instruction
 from sim_backend.wire.arm import EmulatedArm
-from sim_backend.wire.faults import Fault, FaultError, FaultKind, parse_lines
+from sim_backend.wire.faults import Fault, FaultError, FaultKind, parse_lines, read_lines
 from sim_backend.wire.injector import Injector, by_arm
 from sim_backend.wire.pty import PtyPort
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring
@@ -82,6 +83,26 @@ class TestCommands:
     def test_command_that_makes_no_sense_is_refused_with_the_key(self, line: str, said: str) -> None:
         with pytest.raises(FaultError, match=f"fault command: {said}"):
             Fault.parse(line)
+
+    @pytest.mark.parametrize(
+        ("name", "found"),
+        [
+            ("folder", "no regular file"),
+            ("large", "20 MB"),
+            ("pipe", "no regular file"),
+            ("none", "No such file"),
+            ("a\0", ""),
+        ],
+    )
+    def test_a_file_of_commands_is_a_file_and_no_pipe_is_waited_for(
+        self, tmp_path: Path, name: str, found: str
+    ) -> None:
+        (tmp_path / "folder").mkdir()
+        os.mkfifo(tmp_path / "pipe")
+        with (tmp_path / "large").open("wb") as file:
+            file.truncate(20_000_000)
+        with pytest.raises(FaultError, match=f"^faults file {re.escape(str(tmp_path))}/.*: found {found}"):
+            read_lines(tmp_path / name, {"left": [1]})
 
     def test_unknown_servo_and_arm_are_refused_and_nothing_is_planned(self) -> None:
         rig = Rig()
