@@ -72,7 +72,7 @@ def inject(
     ] = None,
     servo: Annotated[int | None, typer.Option(help="ID of one servo, instead of all of the arm.")] = None,
     at: Annotated[float | None, typer.Option(min=0.0, help=f"When, s of the trajectory ({AT_S:g}).")] = None,
-    for_s: Annotated[float | None, typer.Option("--for", help="How long, s; for good without it.")] = None,
+    for_s: Annotated[float | None, typer.Option("--for", max=1e6, help="How long, s; for good without it.")] = None,
     size: Annotated[float | None, typer.Option(help="How much, in the unit of `list --kinds`.")] = None,
     duration: Annotated[
         float | None, typer.Option(help=f"Seconds of the trajectory (until {MORE_S:g} s behind the fault).")

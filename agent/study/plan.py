@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -146,8 +147,9 @@ def _beside(study: Path, name: str) -> Path:
     Raises ConfigError.
     """
     here, shipped = study.parent / name, shipped_cells()
-    if here.is_file():
-        return here
+    with contextlib.suppress(OSError):  # a name that is too long for a file
+        if here.is_file():
+            return here
     if name in shipped:
         return configs.CELLS_DIR / f"{name}.toml"
     raise ConfigError(

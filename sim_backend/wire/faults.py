@@ -11,15 +11,26 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticCustomError
 
 from drivers import named_file
 from drivers.interface import Refusal
 from sim_backend.wire.bus import Tampered
 
-Seconds = Annotated[float, Field(ge=0.0, le=1e6)]
+LONGEST_S: Final = 1e6
+SHOWN: Final = 80  # characters of what a command says, in a refusal
+Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
+
+
+def _lasting(value: float) -> float:
+    if LONGEST_S < value < math.inf:
+        raise PydanticCustomError(
+            "lasting", "at most {most} s; without the key it has no end", {"most": f"{LONGEST_S:g}"}
+        )
+    return value
 
 
 class FaultError(Refusal):
@@ -63,7 +74,7 @@ class Fault(BaseModel):
     arm: str
     servo: Annotated[int, Field(ge=0, le=252)] | None = None
     start_s: Seconds = 0.0
-    duration_s: Annotated[float, Field(ge=0.0)] = math.inf
+    duration_s: Annotated[float, Field(ge=0.0), AfterValidator(_lasting)] = math.inf
     probability: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0  # of each reply, for reply faults
     delay_ms: Annotated[float, Field(ge=0.0, le=1e6)] = 5.0
     temperature_C: Annotated[float, Field(ge=-50.0, le=255.0)] = 90.0
@@ -83,8 +94,8 @@ class Fault(BaseModel):
             first = error.errors()[0]
             key = ".".join(str(part) for part in first["loc"])
             raise FaultError(
-                f"fault command: {key or 'line'}",
-                found=repr(first["input"])[:80],
+                f"fault command: {key[:SHOWN] or 'line'}",
+                found=repr(first["input"])[:SHOWN],
                 expected=first["msg"],
                 remedy=f"one JSON object per line with kind and arm, and maybe {', '.join(list(cls.model_fields)[2:])}",
             ) from error
@@ -104,7 +115,7 @@ def require_known(faults: Iterable[Fault], servos: Mapping[str, Collection[int]]
     for fault in faults:
         if fault.arm not in servos:
             raise FaultError(
-                "fault command: arm", found=repr(fault.arm), expected=" or ".join(servos),
+                "fault command: arm", found=repr(fault.arm)[:SHOWN], expected=" or ".join(servos),
                 remedy="name an arm of this cell",
             )  # fmt: skip
         if fault.servo is not None and fault.servo not in servos[fault.arm]:

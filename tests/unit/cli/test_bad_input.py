@@ -99,6 +99,7 @@ OTHERS = {
     "faults inject --at nan": ("faults", "inject", PAPER, "bus-off", "--at", "nan"),
     "faults inject --for 0": ("faults", "inject", PAPER, "bus-off", "--for", "0"),
     "faults inject --size -1": ("faults", "inject", PAPER, "bus-delayed", "--size", "-1"),
+    "faults inject --for 1e7": ("faults", "inject", PAPER, "servo-off", "--for", "1e7", "--duration", "4"),
     "faults inject --size of none": ("faults", "inject", PAPER, "servo-off", "--size", "5"),
     "faults inject after the end": ("faults", "inject", PAPER, "bus-off", "--at", "2", "--duration", "2"),
     "faults inject --duration nan": ("faults", "inject", PAPER, "bus-off", "--duration", "nan"),

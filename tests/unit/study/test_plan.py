@@ -127,6 +127,13 @@ def test_a_fault_in_the_last_cycle_happens(tmp_path: Path, fault: str) -> None:
     assert run.places[0].limp
 
 
+def test_a_name_that_no_file_can_have_is_none_of_a_cell(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(f'format = 1\ncells = ["{"x" * 9000}"]\n')
+    with pytest.raises(ConfigError, match=r"^cells in study\.toml: found x{119}…, no file in .*beside the study"):
+        load_plan(path)
+
+
 def test_a_cell_of_the_current_folder_alone_is_none_of_the_study(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

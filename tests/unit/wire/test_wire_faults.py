@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import HardwareError, Instruction
 from sim_backend.wire.arm import EmulatedArm
-from sim_backend.wire.faults import Fault, FaultError, FaultKind, parse_lines, read_lines
+from sim_backend.wire.faults import Fault, FaultError, FaultKind, parse_lines, read_lines, require_known
 from sim_backend.wire.injector import Injector, by_arm
 from sim_backend.wire.pty import PtyPort
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring
@@ -78,11 +79,19 @@ class TestCommands:
             ('{"kind": "drop", "arm": "left", "servo": 300}', "servo"),
             ('{"kind": "drop", "arm": "left", "start_s": -1}', "start_s"),
             ('{"kind": "drop", "arm": "left", "probability": 1.5}', "probability"),
+            ('{"kind": "drop", "arm": "left", "duration_s": 5e9}', "duration_s: .* at most 1e.06 s; without the key"),
+            (f'{{"kind": "drop", "arm": "left", "{"x" * 5000}": 1}}', "xxx"),
+            (f'{{"kind": "drop", "arm": "{"x" * 9000}"}}', "arm: found 'xxx"),
         ],
     )
     def test_command_that_makes_no_sense_is_refused_with_the_key(self, line: str, said: str) -> None:
-        with pytest.raises(FaultError, match=f"fault command: {said}"):
-            Fault.parse(line)
+        with pytest.raises(FaultError, match=f"fault command: {said}") as refused:
+            require_known(parse_lines(line), {"left": [3]})
+        assert len(str(refused.value)) < 500
+
+    def test_a_fault_may_last_a_million_seconds_or_have_no_end(self) -> None:
+        lasting = [Fault(kind=FaultKind.DROP, arm="left", duration_s=x).duration_s for x in (1e6, math.inf)]
+        assert lasting == [1e6, Fault(kind=FaultKind.DROP, arm="left").duration_s]
 
     @pytest.mark.parametrize(
         ("name", "found"),
