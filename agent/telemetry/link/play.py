@@ -26,6 +26,7 @@ from agent.telemetry.row.topics import PLANT, RECORDER, Address, BadName, Kind
 
 _CYCLE_S: Final = 0.033
 _STRETCH_ROWS: Final = 2048
+_LONGER_NS: Final = 1e18  # than any log is: thirty years
 
 
 def _nothing() -> Sequence[Order]:
@@ -168,7 +169,7 @@ def _tracks(options: PlayOptions, log: ColumnLog) -> list[_Track]:
             expected="a positive speed, and seconds within the log",
             remedy="correct the options",
         )
-    first_ns, last_ns = (int(times.min()) + round(s * 1e9) for s in (options.start_s, stop_s))
+    first_ns, last_ns = (int(times.min()) + round(min(s * 1e9, _LONGER_NS)) for s in (options.start_s, stop_s))
     tracks = [
         _row_track(Address(log.cell, member, Kind.STATE), rows[(utc_ns >= first_ns) & (utc_ns <= last_ns)])
         for (member, rows), utc_ns in zip(members.items(), utc, strict=True)

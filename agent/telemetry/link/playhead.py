@@ -35,9 +35,9 @@ class Playhead:
     quit: bool = False
 
     def pass_time(self, elapsed_s: float) -> None:
-        """Go on for so much of real time."""
+        """Go on for so much of real time, to the end at most."""
         if not self.paused:
-            self.at_s += elapsed_s * self.speed
+            self.at_s = min(self.at_s + elapsed_s * self.speed, self.length_s)
 
     def take(self, order: Order, next_s: float | None) -> bool:
         """Do as asked; next_s: where the next message is.  True when what follows is not what followed before."""

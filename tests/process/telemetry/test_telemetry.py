@@ -260,8 +260,9 @@ def test_play_refuses_what_cannot_be_played(run: RunLog, wrong: dict[str, Any]) 
         play.run(PlayOptions(run.path, **wrong), stop=lambda: False)
 
 
-def test_play_to_no_end_is_to_that_of_the_log(run: RunLog) -> None:
-    assert play.run(PlayOptions(run.path, speed=1e6, stop_s=math.inf), stop=lambda: False).loops == 1
+@pytest.mark.parametrize(("speed", "stop_s"), [(1e6, math.inf), (1e308, 1e308)])
+def test_play_to_no_end_is_to_that_of_the_log(run: RunLog, speed: float, stop_s: float) -> None:
+    assert play.run(PlayOptions(run.path, speed=speed, stop_s=stop_s), stop=lambda: False).loops == 1
 
 
 def test_info_is_answered_and_telemetry_opens_no_port(tmp_path: Path) -> None:

@@ -24,6 +24,14 @@ def test_time_passes_at_the_pace_unless_it_is_paused() -> None:
     assert (h.at_s, h.paused) == (16.0, False)
 
 
+@pytest.mark.parametrize("speed", [10.0, 1e308])
+def test_time_passes_to_the_end_at_most_however_fast(speed: float) -> None:
+    h = head(speed=speed)
+    for _ in range(2):
+        h.pass_time(10.0)
+        assert h.at_s == h.length_s
+
+
 def test_a_step_goes_to_the_next_message_and_stays() -> None:
     h = head()
     assert h.take(Order.STEP, 12.005) is False
