@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from agent.cli.options import AsJson, LogPath, console, note, print_json
+from agent.cli.options import AsJson, LogPath, console, instant, note, print_json
 from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
@@ -21,8 +21,10 @@ SCHEMA = 1
 def events(
     log: LogPath,
     arm: Annotated[list[str], typer.Option("--arm", help="Only from this arm; also: plant, recorder.")] = [],
-    from_s: Annotated[float, typer.Option("--from", help="First second of the trajectory.")] = -math.inf,
-    to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
+    from_s: Annotated[
+        float, typer.Option("--from", callback=instant, help="First second of the trajectory.")
+    ] = -math.inf,
+    to_s: Annotated[float, typer.Option("--to", callback=instant, help="Where to end, s.")] = math.inf,
     as_json: AsJson = False,
 ) -> None:
     """Say what happened when: events of the arms by the time of the trajectory, the rest by that of the day (UTC)."""

@@ -18,6 +18,7 @@ from agent.cli.options import (
     NetworkConfig,
     Overrides,
     console,
+    instant,
     note,
     print_json,
 )
@@ -207,9 +208,10 @@ def export(
         list[str], typer.Option("--field", metavar="NAME", help="Only this field; all but `memory` otherwise.")
     ] = [],
     from_s: Annotated[
-        float, typer.Option("--from", help="First second of the trajectory, in all tables; negative before its start.")
+        float,
+        typer.Option("--from", callback=instant, help="First second of the trajectory; negative before its start."),
     ] = -math.inf,
-    to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
+    to_s: Annotated[float, typer.Option("--to", callback=instant, help="Where to end, s.")] = math.inf,
     force: Force = False,
 ) -> None:
     """Write the rows as tables, one per arm, units in the column names; whole files or none."""

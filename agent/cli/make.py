@@ -158,10 +158,8 @@ def _wish(
             remedy="give both",
         )  # fmt: skip
     sides, moments = vector(size, "--size"), None if inertia is None else vector(inertia, "--inertia")
-    for option, text, values in (("--mass", f"{mass:g}", (mass,)), ("--size", size, sides)):
-        if not min(values) > 0.0:
-            raise WishError(option, found=text, expected="above 0", remedy="kg and m")
     thing = ObjectWish(mass, sides, ShapeKind(shape.value), moments)
+    thing.require_possible()
     return Wish(called, arm_wishes(arms), thing, motion, height, rate)
 
 

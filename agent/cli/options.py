@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import os
 import sys
 import termios
@@ -59,6 +60,13 @@ AsJson = Annotated[bool, typer.Option("--json", help="For scripts: one JSON docu
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 
 WIDTH_ELSEWHERE = 240  # columns where there is no terminal, so that no word of a table is cut
+
+
+def instant(value: float | None) -> float | None:
+    """What an option says in seconds of a log, or without end; `nan`, before and after nothing, is refused."""
+    if value is not None and math.isnan(value):
+        raise typer.BadParameter("seconds are a number")
+    return value
 
 
 def in_front() -> bool:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from agent.cli.options import AsJson, Force, LogPath, console, note, print_json
+from agent.cli.options import AsJson, Force, LogPath, console, instant, note, print_json
 from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
@@ -31,7 +31,9 @@ def replay(
         list[str],
         typer.Option("--set", metavar="KEY=VALUE", help="Show the torque with this value of the cell file instead."),
     ] = [],
-    from_s: Annotated[float | None, typer.Option("--from", help="Begin at this time of the trajectory, s.")] = None,
+    from_s: Annotated[
+        float | None, typer.Option("--from", callback=instant, help="Begin at this time of the trajectory, s.")
+    ] = None,
     row: Annotated[int | None, typer.Option("--row", min=0, help="Begin at this row number.")] = None,
     arm: Annotated[str | None, typer.Option("--arm", help="Only this arm.")] = None,
     picture: Annotated[Path | None, typer.Option(help="With --set: both torques over time, as PNG.")] = None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from agent.cli import complete
-from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, note, require_use
+from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, instant, note, require_use
 from agent.cli.progress import Steps
 from agent.host.ready_line import pairs
 from agent.host.starting import ready
@@ -31,7 +31,7 @@ def view(
     html: Annotated[Path | None, typer.Option(help="Write the run as one HTML file instead.")] = None,
     film: Annotated[Path | None, typer.Option(help="Write a film instead: .gif, .webp or .png.")] = None,
     start: Annotated[float | None, typer.Option("--from", min=0.0, help="First second of the film (0).")] = None,
-    end: Annotated[float | None, typer.Option("--to", help="Last second of the film.")] = None,
+    end: Annotated[float | None, typer.Option("--to", callback=instant, help="Last second of the film.")] = None,
     speed: Annotated[
         float | None, typer.Option(min=0.01, help=f"Pace of the film; 1 is the pace of the run ({PACE:g}).")
     ] = None,

@@ -11,7 +11,7 @@ from typing import Final
 
 import configs
 from agent.config.reading import ConfigError, shown
-from agent.config.schema.types import IN_WORDS, NAME_PATTERN, nearest
+from agent.config.schema.types import IN_WORDS, LENGTHS_M, MASSES_KG, MOMENTS_KG_M2, NAME_PATTERN, nearest
 
 Vec3 = tuple[float, float, float]
 FACES: Final[dict[str, Vec3]] = {  # outward normals, object axes; the names of arms that hold there
@@ -67,6 +67,18 @@ class ObjectWish:
     size_m: Vec3
     shape: ShapeKind = ShapeKind.BOX
     inertia_kg_m2: Vec3 | None = None
+
+    def require_possible(self) -> None:
+        """Raise WishError, by the option that says so, for what no cell may have as its object."""
+        of_inertia = "moments of inertia by --mass and --size" if self.inertia_kg_m2 is None else "--inertia"
+        for option, unit, values, (least, most) in (
+            ("--mass", "kg", (self.mass_kg,), MASSES_KG),
+            ("--size", "m", self.size_m, LENGTHS_M),
+            (of_inertia, "kg·m²", self.moments(), MOMENTS_KG_M2),
+        ):
+            if not all(least <= x <= most for x in values):
+                found = ",".join(f"{x:g}" for x in values)
+                raise WishError(option, found=found, expected=f"{least:g} to {most:g} {unit}", remedy="correct it")
 
     def moments(self) -> Vec3:
         """Principal moments of a solid of uniform density, or those given."""

@@ -61,14 +61,16 @@ def _printable(value: str) -> str:
 
 Label = Annotated[str, Field(min_length=1, max_length=128), AfterValidator(_printable)]  # of a joint, a frame, a port
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Length = Annotated[float, Field(ge=1e-6, le=10.0)]  # m
+LENGTHS_M: Final = (1e-6, 10.0)
+Length = Annotated[float, Field(ge=LENGTHS_M[0], le=LENGTHS_M[1])]
 Coordinate = Annotated[float, Field(ge=-100.0, le=100.0)]  # m
 Speed = Annotated[float, Field(gt=0.0, le=100.0)]  # m/s or rad/s
 Angle = Annotated[float, Field(ge=-100.0, le=100.0)]  # rad; several turns may be meant
 Attitude = Annotated[float, Field(gt=0.0, le=math.pi)]  # rad, size of an attitude error
-Mass = Annotated[float, Field(ge=1e-6, le=100.0)]  # kg
-MOMENT_MIN_KG_M2: Final = 1e-12
-Moment = Annotated[float, Field(ge=MOMENT_MIN_KG_M2, le=100.0)]  # kg·m²
+MASSES_KG: Final = (1e-6, 100.0)
+Mass = Annotated[float, Field(ge=MASSES_KG[0], le=MASSES_KG[1])]
+MOMENTS_KG_M2: Final = (1e-12, 100.0)
+Moment = Annotated[float, Field(ge=MOMENTS_KG_M2[0], le=MOMENTS_KG_M2[1])]
 Instant = Annotated[float, Field(ge=0.0, le=1e6)]  # s; a million seconds are eleven days
 LinearStiffness = Annotated[float, Field(ge=10.0, le=1e8)]  # N/m, of a grasp
 AngularStiffness = Annotated[float, Field(ge=0.01, le=1e6)]  # N·m/rad

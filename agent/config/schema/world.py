@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from agent.config.schema.types import (
     AS_LIST,
-    MOMENT_MIN_KG_M2,
+    MOMENTS_KG_M2,
     Coordinate,
     Length,
     Mass,
@@ -70,11 +70,11 @@ class Inertia(Strict):
     @model_validator(mode="after")
     def _physical(self) -> Inertia:
         moments = np.linalg.eigvalsh(self.matrix())
-        if moments[0] < MOMENT_MIN_KG_M2 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
+        if moments[0] < MOMENTS_KG_M2[0] or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
             raise wrong(
                 "",
                 found=f"principal moments {', '.join(f'{m:.3g}' for m in moments)}",
-                expected=f"{MOMENT_MIN_KG_M2:g} at least, the largest not above the sum of the others",
+                expected=f"{MOMENTS_KG_M2[0]:g} at least, the largest not above the sum of the others",
                 remedy="a solid box of sides a, b, c has m (b² + c²) / 12 about a",
             )
         return self

@@ -342,12 +342,39 @@ def test_no_command_is_forgotten() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mass", "size", "found"),
-    [("-1", "0.1,0.05,0.05", "--mass: found -1"), ("0.2", "0.1,0,0.05", "--size: found 0.1,0,0.05")],
+    ("command", "option"),
+    [
+        ("events", "--from"),
+        ("events", "--to"),
+        ("export", "--from"),
+        ("export", "--to"),
+        ("replay", "--from"),
+        ("view", "--to"),
+    ],
 )
-def test_an_object_of_no_size_or_mass_is_refused_in_one_line(mass: str, size: str, found: str, tmp_path: Path) -> None:
-    arms = ("--arm", "wx200", "--arm", "wx200")
-    done = coop("new", tmp_path / "cell.toml", *arms, "--mass", mass, "--size", size)
+def test_an_instant_that_is_no_number_is_refused_by_its_option_and_not_by_the_log(command: str, option: str) -> None:
+    done = coop(command, "log.mcap", option, "nan")
     assert (done.code, done.err.count("\n")) == (2, 1)
-    assert f"{found}, expected above 0" in done.err
+    assert f"Invalid value for '{option}': seconds are a number" in done.err
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("-1", "0.1,0.05,0.05"), "--mass: found -1, expected 1e-06 to 100 kg"),
+        (("inf", "0.1,0.05,0.05"), "--mass: found inf, expected 1e-06 to 100 kg"),
+        (("nan", "0.1,0.05,0.05"), "--mass: found nan, expected 1e-06 to 100 kg"),
+        (("0.2", "0.1,0,0.05"), "--size: found 0.1,0,0.05, expected 1e-06 to 10 m"),
+        (("0.2", "1e308,0.1,0.05"), "--size: found 1e+308,0.1,0.05, expected 1e-06 to 10 m"),
+        (("99", "9,9,0.1"), "moments of inertia by --mass and --size: found 668.33"),
+        (("0.2", "0.1,0.1,0.1", "--inertia", "1,1,1e300"), "--inertia: found 1,1,1e+300, expected 1e-12 to 100 kg·m²"),
+    ],
+)
+def test_an_object_that_no_cell_may_have_is_refused_by_its_option(
+    words: tuple[str, ...], found: str, tmp_path: Path
+) -> None:
+    arms, (mass, size, *more) = ("--arm", "wx200", "--arm", "wx200"), words
+    done = coop("new", tmp_path / "cell.toml", *arms, "--mass", mass, "--size", size, *more)
+    assert (done.code, done.err.count("\n")) == (2, 1)
+    assert f"coop: {found}" in done.err
     assert not (tmp_path / "cell.toml").exists()
