@@ -36,9 +36,9 @@ NAMED_AT: Final = (0.02, 0.6, 0.2, 0.06)  # the fraction at which the curve of e
 TERMS: Final = ("feedback", "inertia", "coriolis", "gravity", "adaptive", "object", "internal", "friction", "posture")
 COMMANDED, UNEXPECTED = "commanded", "unexpected"  # curves of internal force
 TAIL_POINTS: Final = 300
-BODY_PARAMETERS: Final = 10  # of one link
 # columns of one body or joint in the estimates: what, unit, first column, how many
 BODY_GROUPS: Final = (("mass", "kg", 0, 1), ("first moment", "kg·m", 1, 3), ("inertia", "kg·m²", 4, 6))
+BODY_PARAMETERS: Final = sum(count for *_, count in BODY_GROUPS)  # of one link
 JOINT_GROUPS: Final = (
     ("rotor inertia", "kg·m²"), ("viscous friction", "N·m·s/rad"), ("Coulomb friction", "N·m"),
     ("breakaway", "N·m"), ("load friction", "1"), ("breakaway load", "1"),

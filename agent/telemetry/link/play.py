@@ -20,11 +20,10 @@ from agent.log.read import ColumnLog, LogError, open_log
 from agent.telemetry.link.endpoint import FREE_PORT
 from agent.telemetry.link.playhead import Order, Playhead
 from agent.telemetry.link.session import Network, open_session
-from agent.telemetry.link.wire import BATCH_BYTES_MAX, BatchHeader, End
+from agent.telemetry.link.wire import BATCH_BYTES_MAX, CYCLE_S, BatchHeader, End
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.topics import PLANT, RECORDER, Address, BadName, Kind
 
-_CYCLE_S: Final = 0.033
 _STRETCH_ROWS: Final = 2048
 _LONGER_NS: Final = 1e18  # than any log is: thirty years
 
@@ -220,7 +219,7 @@ class _Player:
                 played = self._publish(publishers)
                 rows, events = rows + played[0], events + played[1]
             self._options.show(head)
-            time.sleep(_CYCLE_S)
+            time.sleep(CYCLE_S)
         return rows, events
 
     def _publish(self, publishers: Mapping[str, zenoh.Publisher]) -> tuple[int, int]:

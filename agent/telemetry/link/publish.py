@@ -29,6 +29,7 @@ from agent.telemetry.link.source import HEALTH_KEPT, RowSource, TextSource
 from agent.telemetry.link.status import StatusQuery
 from agent.telemetry.link.wire import (
     BATCH_BYTES_MAX,
+    CYCLE_S,
     LOCKSTEP_BATCH_BYTES_MAX,
     End,
     RecorderStatus,
@@ -42,7 +43,6 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import RECORDER, Address, Kind
 
-_CYCLE_S: Final = 0.033  # 30 batches/s in real time; in lockstep see LockstepPauses
 _BURST_PAUSE_S: Final = 0.005  # in real time, between the bursts that catch up
 _BURST: Final = {False: 2, True: 64}  # by lockstep: batches between two looks at the stop flag
 _STATUS_S: Final = {False: 0.25, True: 0.0}  # in lockstep in every cycle
@@ -74,7 +74,7 @@ def run(
                 if not options.follow:
                     break
                 while not stop() and not reader.replaced:
-                    time.sleep(_CYCLE_S)
+                    time.sleep(CYCLE_S)
         return report
 
 
@@ -133,7 +133,7 @@ class _Telemetry:
             if self._lockstep:
                 time.sleep(self._pauses.after(sent, self._senders[Kind.STATE]))
             else:
-                time.sleep(_CYCLE_S if sent < 2 else _BURST_PAUSE_S)
+                time.sleep(CYCLE_S if sent < 2 else _BURST_PAUSE_S)
 
     def _without_recorder(self) -> str:
         network = self._options.network

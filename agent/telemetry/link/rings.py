@@ -6,16 +6,14 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
 
 from agent.telemetry.link.patience import Patience
 from agent.telemetry.link.publication import Pace, PublishOptions
+from agent.telemetry.link.wire import CYCLE_S
 from agent.telemetry.ring.file import RingError, exists
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader, texts_path
 from agent.telemetry.row.topics import PLANT
-
-_CYCLE_S: Final = 0.033
 
 
 def wait_for_ring(
@@ -37,7 +35,7 @@ def wait_for_ring(
                 return reader
             reader.close()
             past = True
-        time.sleep(_CYCLE_S)
+        time.sleep(CYCLE_S)
     return None
 
 

@@ -19,6 +19,7 @@ _HEADER: Final = struct.Struct("<4sI16sQQQQQI")  # magic end seal run source fir
 _SEAL_BYTES: Final = 16
 BATCH_BYTES_MAX: Final = 60_000  # a Zenoh batch is 64 KiB: larger payloads are cut and, when one piece is dropped, lost
 LOCKSTEP_BATCH_BYTES_MAX: Final = 240_000  # where nothing is dropped on its way to the recorder pieces do no harm
+CYCLE_S: Final = 0.033  # 30 batches/s in real time, of telemetry and of a log that is played
 RANGES_MAX: Final = 16
 
 

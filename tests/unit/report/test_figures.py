@@ -18,8 +18,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from agent.control.adaptation import JOINT_PARAMETERS
+from agent.control.regressor import BODY_PARAMETERS
 from agent.log.read import RunLog
-from agent.report import figures
+from agent.report import figures, figures_more
 from agent.report.figures_more import estimates, loop_timing, tail_of
 from agent.report.figures_together import in_stretches
 from agent.report.gallery import pictures
@@ -88,6 +90,12 @@ def test_every_figure_shows_something(drawn: Drawn) -> None:
 
 def test_figures_leave_the_settings_of_matplotlib_alone(drawn: Drawn) -> None:
     assert drawn.after == drawn.before
+
+
+def test_estimates_are_drawn_from_as_many_columns_as_the_law_has_of_a_body_and_of_a_joint() -> None:
+    """Counted by the figures themselves: the law's module would bring the model of the arms into every report."""
+    assert figures_more.BODY_PARAMETERS == BODY_PARAMETERS
+    assert len(figures_more.JOINT_GROUPS) == JOINT_PARAMETERS
 
 
 def test_a_run_without_rows_has_no_figures() -> None:
