@@ -68,8 +68,21 @@ def start_off(cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vect
     """How far from its place each arm may see the object at the start, joint angles q[i] (n,): m, rad."""
     still, found = np.zeros(len(at.P)), []
     for arm, model, q_i in zip(cell.arms, models, q, strict=True):
-        off, linear = _errors(cell, arm, model, q_i, at.P, still).off, _linear(at.P)
+        off, linear = seen_off(cell, arm, model, q_i, at.P, still), _linear(at.P)
         found.append((float(np.linalg.norm(off[linear])), float(np.linalg.norm(off[~linear]))))
+    return found
+
+
+def seen_off(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vector) -> Matrix:
+    """δ (m, s) of an arm at q (n,), a column for each independent error at its bound; v (m,): twist of the motion."""
+    stated, k = cell.tolerance, model.evaluate(q, np.zeros(model.n))
+    reach = np.array(k.p_object) - arm.T_world_base.translation
+    off = [
+        _shift(P, stated.base_m), _turn(P, stated.base_rad, reach),
+        _shift(P, stated.grasp_m), _turn(P, stated.grasp_rad, np.array(k.p_ee_object)),
+        stated.zeros_of(arm.n) * (P @ model.task_basis.T @ k.J), stated.skew_s * v[:, None],
+    ]  # fmt: skip
+    found: Matrix = np.concatenate(off, axis=1)
     return found
 
 
@@ -143,19 +156,13 @@ def _errors(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vect
     J = P @ model.task_basis.T @ k.J
     B_inv = np.linalg.inv(k.B)
     J_inv = B_inv @ J.T @ np.linalg.inv(J @ B_inv @ J.T)
-    reach = np.array(k.p_object) - arm.T_world_base.translation
-    off = [
-        _shift(P, stated.base_m), _turn(P, stated.base_rad, reach),
-        _shift(P, stated.grasp_m), _turn(P, stated.grasp_rad, np.array(k.p_ee_object)),
-        stated.zeros_of(arm.n) * J, stated.skew_s * v[:, None],
-    ]  # fmt: skip
     weight = P @ np.concatenate([-cell.file.object.mass_kg * cell.gravity, np.zeros(3)])
     held = k.g + J.T @ (offline.load_share * weight)
     low, high = stated.friction
     unknown = max(high - 1.0, 1.0 - low) if offline.friction is not None else high
     friction = unknown * all_at_rest_Nm(arm.servos, held) + unfiled_Nm(stated, arm.servos, held)
     torques = [stated.torque_constant * np.diag(held), stated.masses * k.g[:, None], np.diag(friction)]
-    return _Errors(np.concatenate(off, axis=1), J_inv.T @ np.concatenate(torques, axis=1))
+    return _Errors(seen_off(cell, arm, model, q, P, v), J_inv.T @ np.concatenate(torques, axis=1))
 
 
 def _shift(P: Matrix, bound: float) -> Matrix:

@@ -26,7 +26,7 @@ from agent.config.schema.controller import ControllerKind
 from agent.config.schema.driver import DriverKind
 from agent.control.adaptation_bound import ReferenceTwist, estimated_wrench
 from agent.control.inverse import SingularJacobian, invert_jacobian
-from agent.control.models import ArmModel
+from agent.control.models import ArmModel, Matrix
 from agent.control.residual import Channels
 from agent.monitors.bounds import Name
 from agent.monitors.gravity import WINDOW_S, WINDOWS
@@ -187,18 +187,17 @@ def begun(cell: Cell, models: Sequence[ArmModel], q_start: Sequence[Vector]) -> 
         return []
     each = zip(cell.arms, models, q_start, strict=True)
     try:
-        force, moment = np.max([_blow(cell, arm, model, q, v, error) for arm, model, q in each], axis=0).tolist()
-        limits, struck = noticing.thresholds(cell), noticing.knock(cell, noticing.against(cell))
+        force, moment = np.max(
+            [blow(cell, arm, model, q, v[:, None], error[:, None]) for arm, model, q in each], axis=0
+        ).tolist()
+        most_N, surely_N, most_Nm = blow_limits(cell)
     except (SingularJacobian, ConfigError):
         return []
-    most_N = limits.fast_N if struck is None else min(limits.fast_N, struck.limit_N)
-    may_be = noticing.touch(cell, limits) if struck is None else None
-    surely_N = most_N if may_be is None else may_be.most_N
-    holds, perhaps = (force <= x and moment <= limits.fast_Nm for x in (most_N, surely_N))
+    holds, perhaps = (force <= x and moment <= most_Nm for x in (most_N, surely_N))
     return [
         judged(
             "what the begin of the motion looks like to an arm", "cell", f"{force:.2g} N, {moment:.2g} N·m at once",
-            f"≤ {most_N:g} N, {limits.fast_Nm:g} N·m",
+            f"≤ {most_N:g} N, {most_Nm:g} N·m",
             holds=holds, otherwise=Verdict.WARNING if perhaps else Verdict.REFUSED,
             remedy="let the motion begin at rest (ramp_s) where the object stands (object.p_start_m, quat_start), "
             "else all arms hold as it begins; or switch off what they hold for (safety.noticing.enabled)",
@@ -206,16 +205,24 @@ def begun(cell: Cell, models: Sequence[ArmModel], q_start: Sequence[Vector]) -> 
     ]  # fmt: skip
 
 
-def _blow(cell: Cell, arm: Arm, model: ArmModel, q: Vector, v: Vector, error: Vector) -> tuple[float, float]:
-    """Force (N) and moment (N·m) that the residual makes of the first step of the reference.
+def blow_limits(cell: Cell) -> tuple[float, float, float]:
+    """Force above which an arm may hold at once and above which it does, N, and moment, N·m.  Raises ConfigError."""
+    limits, struck = noticing.thresholds(cell), noticing.knock(cell, noticing.against(cell))
+    most_N = limits.fast_N if struck is None else min(limits.fast_N, struck.limit_N)
+    may_be = noticing.touch(cell, limits) if struck is None else None
+    return most_N, most_N if may_be is None else may_be.most_N, limits.fast_Nm
 
-    v (6,): twist of the motion as it begins; error (6,): of the object there.  Raises SingularJacobian.
+
+def blow(cell: Cell, arm: Arm, model: ArmModel, q: Vector, v: Matrix, error: Matrix) -> tuple[float, float]:
+    """Force (N) and moment (N·m) that the residual makes of the first step of the reference, quadratic sum of columns.
+
+    v (6, k): twists of the motion as it begins; error (6, k): of the object there.  Raises SingularJacobian.
     """
     gains, P, k = cell.offline(arm).gains, model.task_basis, model.evaluate(q, np.zeros(model.n))
     J_inv, _ = invert_jacobian(k.J, k.B)
-    jump = J_inv @ P @ (v - np.array([*gains.k_p, *gains.k_eps]) * error)
-    wrench = P.T @ J_inv.T @ (cell.file.safety.noticing.rate_per_s * k.B @ jump)
-    return float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(wrench[3:]))
+    jumps = J_inv @ P @ (v - np.array([[*gains.k_p, *gains.k_eps]]).T * error)
+    wrenches = P.T @ J_inv.T @ (cell.file.safety.noticing.rate_per_s * k.B @ jumps)
+    return float(np.linalg.norm(wrenches[:3])), float(np.linalg.norm(wrenches[3:]))
 
 
 def _lacking(cell: Cell, i: int, model: ArmModel, q: Vector) -> tuple[float, float]:

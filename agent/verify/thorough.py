@@ -18,6 +18,7 @@ from agent.verify.collision.scene import Scene
 from agent.verify.finding import Finding
 from agent.verify.path import Path
 from agent.verify.robustness import Robustness, Walk, robustness
+from agent.verify.unaligned import unaligned
 from agent.verify.watched import watched
 from agent.verify.ways import ways
 
@@ -33,6 +34,7 @@ def examine_thoroughly(
         *asked(cell, bounds, models, paths, instants),
         *collisions(cell, models, each, instants, scene),
         *ways(cell, models, scene, of_arms, each, instants),
+        *unaligned(cell, models, along[0]),
     ]
     found = robustness(Walk(cell, models, along, instants))
     return [*findings, *found.findings(), *alignment_room(cell, models, along, instants, scene)], found
