@@ -213,7 +213,8 @@ def explained(agent: Agent, outcome: Outcome) -> str:
     residual, sensed, terms = agent.residual, outcome.sensed, outcome.terms
     if residual is None or sensed is None or terms is None or Flag.UNEXPECTED not in outcome.flags:
         return ""
-    return cause.told(residual, outcome.memory.sense, sensed, terms.desired.v, agent.offline.gravity)
+    memory = outcome.memory
+    return cause.told(residual, memory.sense, sensed, terms, agent.offline.gravity, memory.t)
 
 
 def _off_track(agent: Agent, errors: Errors) -> bool:

@@ -3,6 +3,9 @@
 The neighbours of a limp arm feel its weight; those of one that holds or is locked are pulled back against the motion;
 an arm whose gripper lost the object lacks its share of the weight and feels a lift.  A hand can do all of that,
 and a limp arm also pulls aside, so what fits is named, the best first, and no more is claimed.
+
+An arm whose reference jumps as the motion begins, because it sees the object elsewhere and follows no shift for it,
+strikes itself (agent.verify.noticing).  Its own terms say how hard, which tells this from all else.
 """
 
 from __future__ import annotations
@@ -16,11 +19,14 @@ import numpy as np
 
 from agent.control.borne import NOT_BORNE
 from agent.control.residual import Channels, Residual, Sense
+from agent.control.terms import Terms
 from drivers.interface import Vector
 
 LEAST_COSINE: Final = 0.45  # between the force and a direction that it fits
 STILL_M_PER_S: Final = 1e-3  # a motion slower than this has no direction
 NO_FORCE: Final = 0.5  # of the channel's limit: a force below it is not what tripped
+BEGIN_S: Final = 0.02  # behind the start: before anybody's push is noticed
+UNLIKE: Final = 0.5  # of the unexpected wrench, what may be left beside that of the jump
 
 
 class Cause(enum.StrEnum):
@@ -31,22 +37,35 @@ class Cause(enum.StrEnum):
     LIFT = "this arm's gripper lost the object, or something lifts it"
     TWIST = "the object is twisted"
     PUSH = "the object is pushed or pulled"
+    BEGIN = "the motion does not begin where this arm sees the object, or not at rest"
 
 
 def told(
-    residual: Residual, sense: Sense, sensed: Sequence[float], v: Sequence[float], gravity: Sequence[float]
+    residual: Residual, sense: Sense, sensed: Sequence[float], terms: Terms, gravity: Sequence[float], t: float
 ) -> str:
     """What may be behind what made an arm hold, for a person.
 
-    sensed: the unexpected wrench (6), N and N·m, sizes of its channels (4); v, gravity: as for `causes`.
+    sensed: the unexpected wrench (6), N and N·m, sizes of its channels (4); terms: of the tick at t, s since the
+    motion's begin; gravity: as for `causes`.
     """
-    wrench, found = np.array(sensed[:6]), Channels(*sensed[6:])
+    wrench, found, v = np.array(sensed[:6]), Channels(*sensed[6:]), terms.desired.v
+    if 0.0 <= t < BEGIN_S and jumped(residual, wrench - sense.base, terms):
+        return described((Cause.BEGIN,), found)
     if not residual.tripped(found, sense, wrench):
         weighs, drags = residual.weighed(sense), residual.dragged(sense)
         fits = behind((wrench - sense.base)[:3], v, gravity, weighs=weighs, drags=drags)
         return f"{described(fits, found)}, {felt(sense)}"
     f, limit_N = force(residual, sense, wrench)
     return described(causes(f, limit_N, v, gravity), found)
+
+
+def jumped(residual: Residual, wrench: Vector, terms: Terms) -> bool:
+    """Whether the sudden wrench (6,) is what the residual makes of a reference that jumped from rest to where it is."""
+    if terms.J_inv_P is None:
+        return False
+    limits = np.repeat([residual.limits.fast_N, residual.limits.fast_Nm], 3)
+    own = -residual.rate_per_s * terms.J_inv_P.T.dot(terms.kinematics.B.dot(terms.dq_ref))
+    return bool(np.linalg.norm((wrench - own) / limits) <= UNLIKE * np.linalg.norm(wrench / limits))
 
 
 def force(residual: Residual, sense: Sense, wrench: Vector) -> tuple[Vector, float]:

@@ -10,8 +10,11 @@ import pytest
 
 from agent.config.cell import load_cell
 from agent.config.schema.fault import Fault, FaultKind
+from agent.config.schema.reality import ArmReality, Reality
+from agent.control import cause
 from agent.control.cause import Cause, behind, causes, described, force
 from agent.control.residual import Channels, Residual, nothing_sensed
+from agent.control.terms import DQ_REF
 from agent.modes import Mode
 from agent.safety import Flag
 from agent.study.lab import Laboratory, Run
@@ -152,3 +155,65 @@ def test_a_push_is_noticed_and_a_touch_is_not(
     assert bool(run.trips) is noticed
     if noticed:
         assert Cause.WEIGHT in run.trips[0].why
+
+
+OFF_BY = Reality(arms={"left": ArmReality(base_m=(-1e-3, 0.0, 1.5e-3))})
+BEFORE, UNALIGNED = "simulation.ready_s=1.0", "controller.alignment.enabled=false"
+
+
+def first_trips(reality: Reality | None, *changes: str) -> dict[str, str]:
+    """Why arms of two_wx200 hold within 0.1 s of the start, by arm."""
+    run = Run(Laboratory(load_cell(Path("two_wx200"), [BEFORE, *changes])), reality)
+    while run.t < 0.1:
+        run.advance()
+    return {trip.arm: trip.why for trip in run.trips}
+
+
+def test_an_arm_that_strikes_itself_as_the_motion_begins_blames_nobody_else() -> None:
+    assert first_trips(OFF_BY) == {}, "it aligns itself"
+    assert first_trips(OFF_BY, UNALIGNED)["left"].startswith(f"{Cause.BEGIN} (")
+    moving = first_trips(None, "trajectory.ramp_s=0.0", "trajectory.period_s=3.0")
+    assert moving
+    assert all(why.startswith(f"{Cause.BEGIN} (") for why in moving.values())
+
+
+def test_a_push_as_the_motion_begins_is_one() -> None:
+    push = "simulation.push=[{at_s=0.0, force_N=[0.0, 0.0, -15.0], duration_s=1.0}]"
+    for changes in ([push], [push, UNALIGNED]):
+        pushed = first_trips(None, *changes)
+        assert pushed
+        assert all(why.startswith(Cause.WEIGHT) for why in pushed.values())
+
+
+@pytest.mark.parametrize(
+    ("times", "t", "begin"),
+    [
+        (1.0, 0.0, True),
+        (1.9, 0.0, True),
+        (2.1, 0.0, False),
+        (0.7, 0.0, True),
+        (0.6, 0.0, False),
+        (-1.0, 0.0, False),
+        (1.0, 0.019, True),
+        (1.0, 0.021, False),
+        (1.0, -0.001, False),
+    ],
+)
+def test_a_wrench_that_is_mostly_that_of_the_jump_is_put_down_to_it_at_once_alone(
+    times: float, t: float, begin: bool
+) -> None:
+    residual, run = Residual(5e-3, 1.0, LIMITS), Run(Laboratory(load_cell(Path("two_wx200"), [BEFORE])), None)
+    run.advance()
+    assert run.places[0].outcome is not None
+    terms = run.places[0].outcome.terms
+    assert terms is not None
+    assert terms.J_inv_P is not None
+    joints = terms.joints.copy()
+    joints[DQ_REF] = [0.3, -0.2, 0.1]
+    own = -30.0 * terms.J_inv_P.T @ terms.kinematics.B @ joints[DQ_REF]
+    sensed = [*(times * own).tolist(), 9.0, 9.0, 0.0, 0.0]
+    sense = nothing_sensed(3)._replace(base=np.array([1.0, 0.0, 1.0, 0.0, 0.1, 0.0]))
+    sensed[:6] = (np.array(sensed[:6]) + sense.base).tolist()
+    said = cause.told(residual, sense, sensed, terms._replace(joints=joints), GRAVITY, t)
+    assert said.startswith(Cause.BEGIN) is begin
+    assert not cause.told(residual, sense, sensed, terms._replace(J_inv_P=None), GRAVITY, t).startswith(Cause.BEGIN)
