@@ -62,7 +62,7 @@ kills: $(VENV)/.installed  ## a recorder killed at random, KILLS times (20): wha
 campaign: $(VENV)/.installed  ## random gains, pads, delays: what the criterion accepts must live; arms that learn and disagree (15 min); CAMPAIGN_N, CAMPAIGN_SEED
 	$(BIN)/python -m tests.campaign
 
-failing: $(VENV)/.installed  ## an arm of a random cell goes limp, holds or locks: what check says of the object comes true (5 min); FAILING_N, FAILING_SEED
+failing: $(VENV)/.installed  ## an arm of a random cell goes limp, holds or locks: what check says of the object comes true (10 min); FAILING_N, FAILING_SEED
 	$(BIN)/python -m tests.campaign.failing
 
 varied: $(VENV)/.installed  ## cells as users might write or make them: nothing holds while nothing fails (30 min); VARIED_N, VARIED_MADE, VARIED_SEED
