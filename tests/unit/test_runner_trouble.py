@@ -265,7 +265,7 @@ FLAGGED: dict[str, dict[str, Any]] = {
 def test_what_step_flags_as_trouble_holds_the_object_and_is_told_with_its_time(flag: str) -> None:
     done = run(lambda n: Event.RELEASED if n == 40 else Event.NONE, **FLAGGED[flag])
     first = done.rows[np.flatnonzero(done.rows["flags"] & Flag[flag].value)[0]]
-    cause = f" {Cause.LIFT} (" if flag == "UNEXPECTED" else ""
+    cause = f" {Cause.BEGIN} (" if flag == "UNEXPECTED" else ""
     when = f"t = {first['t']:.3f} s: " if first["t"] > -1e3 else "before a start: "
     assert done.summary.reason.startswith(f"{when}{flag}{cause}")
     assert bool(cause) or done.summary.reason.endswith(f": {flag}"), "the names of flags, as docs/failures.md has them"

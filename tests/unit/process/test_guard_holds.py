@@ -28,9 +28,9 @@ from agent.process import float_successor
 from agent.process import successor as process
 from agent.process.commands import GuardOptions
 from agent.process.float_successor import FloatSuccessor
+from agent.process.hearing import Hearing
 from agent.process.successor import Successor
 from agent.telemetry.row.sample import AGENT_STATE
-from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.dynamixel.standby import StandbyDriver
 from drivers.interface import Refusal, ServoHealth
 
@@ -70,18 +70,6 @@ def test_the_servos_have_a_torque_before_words_are_heard_and_bounds_are_there_al
     assert done == ["torque"]
 
 
-def test_a_folder_that_somebody_keeps_is_not_waited_for_while_the_servos_wait(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    waits = list[float]()
-    monkeypatch.setattr(process, "ControlSocket", lambda *given: waits.append(given[3]) or SimpleNamespace(close=None))
-    with ExitStack() as stack:
-        made(tmp_path)._listening(Standing("left"), SimpleNamespace(), stack)  # type: ignore[arg-type]
-        stack.pop_all()
-    assert waits == [0.02]
-    assert waits[0] <= 0.1 * WATCHDOG_S
-
-
 @pytest.mark.parametrize("hold", [False, True])
 def test_a_guard_in_the_place_of_an_agent_says_whether_a_stop_ends_its_hold(tmp_path: Path, *, hold: bool) -> None:
     standing = Standing("left")
@@ -100,7 +88,7 @@ def test_a_guard_in_the_place_of_an_agent_says_whether_a_stop_ends_its_hold(tmp_
         tell,
         Any,
         Mode.HOLD,
-        ExitStack(),  # type: ignore[arg-type]
+        Any,
     )
     assert standing.details()["drops_on_stop"] is not hold
     assert standing.details()["ring"] == "/run/left.ring", "that of its agent, where its rows go on"
@@ -120,9 +108,11 @@ def test_a_hold_that_could_not_listen_tries_again_and_hears_words_then(tmp_path:
     fcntl.flock(kept, fcntl.LOCK_EX)
     second = round(CELL.file.rate_hz)
     with ExitStack() as stack:
-        deaf = guard._listening(standing, tell, stack)
+        agent: Any = SimpleNamespace(ended=True)
+        hearing = Hearing(tmp_path / "left.control", CELL.fingerprint, standing, agent, tell, stack, CELL.file.rate_hz)
+        deaf = hearing.begin()
         assert deaf is None
-        around = guard._around(deaf, standing, driver, watched, clock, tell, black_box, Mode.HOLD, stack)
+        around = guard._around(deaf, standing, driver, watched, clock, tell, black_box, Mode.HOLD, hearing)
         for _ in range(2 * second):
             around.heartbeat()
         os.close(kept)

@@ -17,6 +17,7 @@ from agent.process import hearing
 from agent.process.hearing import AGAIN_S, FIRST_CYCLES, Hearing
 from agent.process.tellers import Teller
 from agent.telemetry.row.event import Level
+from drivers.dynamixel.arm_map import WATCHDOG_S
 
 FINGERPRINT = "0123456789abcdef"
 RATE_HZ = 50.0
@@ -128,5 +129,6 @@ def test_a_socket_is_waited_for_before_the_first_cycle_alone_and_tried_for_in_tw
     late = Bench(tmp_path, stack, ended=True)
     assert late.hearing.begin() is None
     assert (waits, len(late.told)) == ([0.02], 1)
+    assert waits[0] <= 0.1 * WATCHDOG_S, "the servos wait"
     assert late.looks(49) == []
     assert waits == [0.02]
