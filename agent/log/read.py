@@ -171,12 +171,15 @@ def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows
 
 
 def _arms(collected: Collected[Any]) -> list[str]:
-    """Names of the run's arms, as far as the file tells."""
+    """Names of the arms whose rows the log is to have, as far as the file tells; in older logs all of the cell."""
     try:
-        arms = _described(json.loads(collected.attachments[RUN_FILE])).get("arms")
+        told = _described(json.loads(collected.attachments[RUN_FILE]))
     except (KeyError, ValueError, RecursionError):
         return []
-    named = [arm.get("name") for arm in arms if isinstance(arm, dict)] if isinstance(arms, list) else []
+    named: Any = told.get("taking_part")
+    if not isinstance(named, list):
+        arms = told.get("arms")
+        named = [arm.get("name") for arm in arms if isinstance(arm, dict)] if isinstance(arms, list) else []
     return [name for name in named if isinstance(name, str)]
 
 

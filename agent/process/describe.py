@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Arm, Cell, load_cell
+from agent.config.floating import taking_part
 from agent.config.noticing import against, brace, knock, loads_N, thresholds, touch
 from agent.config.reality import reality_of
 from agent.config.schema.driver import DriverKind
@@ -19,8 +20,12 @@ from agent.host.info import versions
 from drivers.interface import Refusal
 
 
-def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
-    """The content of run.json: what the report needs and a reader wants to know.  Raises Refusal."""
+def run_info(cell: Cell, driver: DriverKind, seed: int, alone: str | None = None) -> bytes:
+    """The content of run.json: what the report needs and a reader wants to know.  Raises Refusal.
+
+    alone: the one arm that the log is of, where it is of no more.
+    """
+    expected = [alone] if alone is not None else [arm.name for arm in taking_part(cell) or cell.arms]
     normal = cell.model(cell.arms[0]).plane_normal
     report = cell.file.report
     bounds = {
@@ -52,6 +57,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "versions": versions(),
         "host": socket.gethostname(),
         "arms": [_arm(cell, arm) for arm in cell.arms],
+        "taking_part": expected,
         "bounds": bounds,
     }
     return json.dumps(content, indent=2).encode()

@@ -37,7 +37,7 @@ def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: s
     """Write the log; how many rows it has.  Raises Refusal, and leaves what was written as OUT.part."""
     cell = load_cell(cell_path)
     make_folder(out.parent)
-    info = run_info(cell, cell.file.driver, seed=0)
+    info = run_info(cell, cell.file.driver, seed=0, alone=arm)
     files = [Attachment(name, "text/plain", content) for name, content in attachments(cell, info).items()]
     about = {
         "versions": versions(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,19 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
+from agent.config.schema.driver import DriverKind
 from agent.log.lacking import lacking
 from agent.log.read import read_log
 from agent.log.run import load
+from agent.process.describe import run_info
 from tests.support.command import coop
+from tests.support.telemetry import run_log
 from tests.support.telemetry.log_maker import LogMaker
 from tests.support.telemetry.run_log import write_run
 from tests.support.telemetry.synthetic_run import paper_rows
 from tests.support.telemetry.telemetry_cell import make_rows
 
+PAPER = load_cell(configs.CELLS_DIR / "paper.toml")
 COUNTS = {"complete": "true", "left.rows_expected": "60", "left.rows_recorded": "60", "left.end": "finished"}
 RIGHT = {key.replace("left", "right"): value for key, value in COUNTS.items()}
 
@@ -57,6 +62,37 @@ def test_an_arm_that_only_the_description_of_the_run_names_is_missed(tmp_path: P
     told = {"left.rows_recorded": "5"}
     assert lacking(told, {"left": 5}, {}, ["left", "right"]) == ["no row of right is in it"]
     assert lacking(told, {"left": 5}, {}, ["left"]) == []
+
+
+@pytest.mark.parametrize(
+    ("more", "lacks"),
+    [
+        (['floating.arms=["left"]'], ()),
+        ([], ("no row of right is in it",)),
+        (['floating.arms=["left", "right"]'], ("no row of right is in it",)),
+        (
+            ['floating.arms=["left"]', "floating.holding=true", "floating.others_move=true"],
+            ("no row of right is in it",),
+        ),
+    ],
+)
+def test_an_arm_that_takes_no_part_where_others_float_is_not_missed(
+    tmp_path: Path, more: list[str], lacks: tuple[str, ...]
+) -> None:
+    cell = load_cell(configs.CELLS_DIR / "two_wx200.toml", more)
+    log = read_log(write_run(tmp_path / "run.mcap", cell, {"left": make_rows("left", 60)}))
+    assert (log.lacks, log.complete) == (lacks, not lacks)
+
+
+def test_an_older_log_that_does_not_say_who_took_part_is_to_have_all_arms_of_its_cell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older = {key: told for key, told in json.loads(run_info(PAPER, DriverKind.SIM, 0)).items() if key != "taking_part"}
+    monkeypatch.setattr(run_log, "run_info", lambda *_: json.dumps(older).encode())
+    log = read_log(write_run(tmp_path / "run.mcap", PAPER, {"left": make_rows("left", 60)}))
+    assert log.lacks == ("no row of right is in it",)
+    alone = json.loads(run_info(PAPER, DriverKind.SIM, 0, alone="left"))
+    assert alone["taking_part"] == ["left"], "a post-mortem"
 
 
 def test_numbers_that_are_left_out_are_missed_where_nobody_counted(tmp_path: Path) -> None:
