@@ -90,6 +90,19 @@ def watching(
     return made, ring, end
 
 
+@pytest.mark.usefixtures("clock")
+def test_a_guard_is_there_for_its_agent_once_its_memory_is_locked(
+    tmp_path: Path, port: str, agent: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which takes a second or more, and its agent waits two for an answer."""
+    there = list[bool]()
+    monkeypatch.setattr(guard, "quiet_memory", lambda: there.append((tmp_path / "socket").exists()))
+    with ExitStack() as stack:
+        watching(stack, tmp_path, port, [], emulated=False, pid=agent.pid)
+        assert (tmp_path / "socket").is_socket()
+    assert there == [False]
+
+
 @pytest.mark.fault("P2")
 @pytest.mark.parametrize(
     ("more", "emulated", "first_ms", "then_ms"),
