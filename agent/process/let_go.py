@@ -11,7 +11,7 @@ from drivers.interface import Driver
 def let_go(driver: Driver, guard: Guarded | None, notifier: Notifier) -> None:
     """Switch the torque off and give everything back, in whatever state the driver is.
 
-    The servos are asked until they say that they are off, which takes several times as long as a guard waits for a row.
+    The servos are asked whether they are off, which takes longer than the guard of a real arm waits for a row.
     """
     notifier.busy()
     if guard is not None:
