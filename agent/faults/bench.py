@@ -38,7 +38,7 @@ from drivers.dynamixel.events import DriverEvent
 from drivers.interface import Driver, Refusal, Vector
 from sim_backend.physics.build import AnyPlant
 from sim_backend.physics.calendar import SEIZED_Nms_RAD
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.plant_world import emulate

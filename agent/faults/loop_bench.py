@@ -27,7 +27,7 @@ from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Driver
 from sim_backend.hil.driver import BridgeDriver
 from sim_backend.physics.calendar import SEIZED_Nms_RAD
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.lone_world import emulate_alone
 from sim_backend.wire.timing import BusTiming

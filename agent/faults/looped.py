@@ -28,7 +28,7 @@ from sim_backend.hil.coupling import TwinState
 from sim_backend.physics.actuator import TorqueCommand
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.delay import DelayLine, stretches
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 

@@ -24,7 +24,7 @@ from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
 from drivers.clock import LOCKSTEP_UTC_NS, MonotonicClock
 from sim_backend.physics.build import AnyPlant, build_plant
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from sim_backend.served.options import LostArm, ServerOptions
 from sim_backend.served.server import serve
 
@@ -53,6 +53,12 @@ def run_plant(
         start.look(time.monotonic_ns())
         return stop()
 
+    zero_ns = round(cell.file.simulation.ready_s * cell.file.rate_hz) * cell.period_ns
+
+    def pause(stamp_ns: int) -> None:
+        if pauses is not None:
+            pauses.reached(stamp_ns - zero_ns)
+
     options = ServerOptions(
         socket_path=socket,
         rate_hz=cell.file.rate_hz,
@@ -61,21 +67,15 @@ def run_plant(
         lost_arm=lost_arm,
         utc_offset_ns=utc_offset_ns,
         observe_every=cell.file.observe_every,
+        pause=pause,
         stop=stopped,
     )
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:
         rows.asked = stop
         truth = Truth(rows, plant, cell, options.utc_offset_ns, lockstep=lockstep)
-        zero_ns = round(cell.file.simulation.ready_s * cell.file.rate_hz) * cell.period_ns
-
-        def on_tick(tick: int, stamp_ns: int, seen: Observation) -> None:
-            truth.write(tick, stamp_ns, seen)
-            if pauses is not None:
-                pauses.reached(stamp_ns - zero_ns)
-
         try:
             summary = serve(
-                plant, options, on_tick=on_tick, on_listening=lambda: ready(pairs(socket=socket, ring=ring))
+                plant, options, on_tick=truth.write, on_listening=lambda: ready(pairs(socket=socket, ring=ring))
             )
         finally:
             rows.finish()

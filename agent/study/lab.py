@@ -31,7 +31,7 @@ from drivers.interface import JointState, ServoHealth, Vector
 from sim_backend.physics.actuator import TorqueCommand
 from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.delay import DelayLine, stretches
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from sim_backend.physics.spec import PlantSpec
 
 _TROUBLE: Final = int(TROUBLE)  # asking a flag for another one takes 0.5 µs

@@ -22,7 +22,6 @@ for 100 s with the friction of the servos, h = 1 ms: grasps within 4 µm.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -35,29 +34,10 @@ from sim_backend.physics.composition import check_start
 from sim_backend.physics.gears import gears
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import ChainGrasps
+from sim_backend.physics.snapshot import Observation, Snapshot
 from sim_backend.physics.spec import PlantSpec, diverged
 
 _SCALAR_FIRST = np.array([-1, -4, -3, -2])  # of the object's quaternion at the end of q
-
-
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """What is true at one instant and no arm can know.  Arrays belong to the receiver; J = joints of all arms."""
-
-    t: float  # s since the plant's zero
-    p_object: Vector  # (3,) m, of its frame, world
-    quat_object: Vector  # (4,) scalar first
-    v_object: Vector  # (6,) m/s, rad/s, linear first, world axes
-    grasp_wrench: Vector  # (N, 6) N, N·m of each arm on the object at its end effector, world axes
-    contact_error_m: Vector  # (N,)
-    contact_error_rad: Vector  # (N,)
-    slip_m: Vector  # (N,) how far pads have slipped since each grasp was closed; zeros of those that do not give
-    slip_rad: Vector  # (N,)
-    q: Vector  # (J,) rad, arm after arm
-    dq: Vector  # (J,) rad/s
-    tau_applied: Vector  # (J,) N·m of the motors after all actuator effects
-    tau_friction: Vector  # (J,) N·m
-    energy: float  # J, kinetic and potential, rotors included
 
 
 class Plant:
@@ -94,6 +74,7 @@ class Plant:
         self._substeps = 0
         self.calendar = Calendar(spec.happenings, spec.substep_s)
         self._meter: ChainGrasps | None = None
+        self._kept: Snapshot | None = None  # the last one
 
     @property
     def t(self) -> float:
@@ -158,7 +139,7 @@ class Plant:
                 else:
                     tau_joint[:] = motor
                 if self._pushed:
-                    tau[J:] = self._push_in_object_axes(q_mid)
+                    tau[J:] = _in_object_axes(self._push, q_mid)
                 a = acceleration(q_mid, v_mid, tau)
                 if meter is not None:
                     meter.observe(q_mid[:J], dq_mid, a[:J], armature, tau_joint)
@@ -193,24 +174,35 @@ class Plant:
 
     def observe(self, tau_cmd_Nm: Vector) -> Observation:
         """What is true now, with commands (J,) acting; changes nothing."""
+        return self.snapshot(tau_cmd_Nm).observation()
+
+    def snapshot(self, tau_cmd_Nm: Vector) -> Snapshot:
+        """What `observe` would say now, at the cost of a copy; asking it takes as long as several substeps."""
+        t, q, v, tau_cmd_Nm = self.t, self._q, self._v.copy(), tau_cmd_Nm.copy()
+        tau_dry, push = self._tau_dry, self._push.copy() if self._pushed else None
+        self._kept = Snapshot(lambda: self._observation(t, q, v, tau_cmd_Nm, tau_dry, push))
+        return self._kept
+
+    def _observation(
+        self, t: float, q: Vector, v: Vector, tau_cmd_Nm: Vector, tau_dry: Vector, push: Vector | None
+    ) -> Observation:
         J, chain, servos = self.joint_count, self._observer, self.servos
-        q, v = self._q, self._v
         dq = v[:J].copy()
         servos.command(tau_cmd_Nm)
         tau_motor = servos.motor_torque(dq).copy()
-        tau_friction = -servos.friction_coefficient(dq) * dq if self._dry is None else self._tau_dry.copy()
+        tau_friction = -servos.friction_coefficient(dq) * dq if self._dry is None else tau_dry.copy()
         tau = np.zeros(len(v))
         np.add(tau_motor, tau_friction, tau[:J])
-        if self._pushed:
-            tau[J:] = self._push_in_object_axes(q)
+        if push is not None:
+            tau[J:] = _in_object_axes(push, q)
         chain.acceleration(q, v, tau)
-        R_world_object = self.T_world_object.rotation
+        R_world_object = pin.XYZQUATToSE3(q[-7:]).rotation
         wrench, gap_m, gap_rad = self._grasp_state(R_world_object)
         v_object = np.empty(6)
         R_world_object.dot(v[-6:-3], v_object[:3])
         R_world_object.dot(v[-3:], v_object[3:])
         return Observation(
-            t=self.t,
+            t=t,
             p_object=q[-7:-4].copy(),
             quat_object=q[_SCALAR_FIRST],
             v_object=v_object,
@@ -245,19 +237,28 @@ class Plant:
         self._pushed = bool(np.any(self._push))
         self._tau[self.joint_count :] = 0.0
 
-    def _push_in_object_axes(self, q: Vector) -> Vector:
-        R_object_world = pin.XYZQUATToSE3(q[-7:]).rotation.T
-        return np.concatenate([R_object_world.dot(self._push[:3]), R_object_world.dot(self._push[3:])])
-
     def release(self, arm: str) -> None:
         """Open the grasp of one arm for good: its wrench is zero and its contact error NaN from now on."""
+        self._settle()
         closed = tuple(i for i in self._chain.closed if self.spec.names[i] != arm)
         self._chain.close(closed)
         self._observer.close(closed)
 
     def brake(self, arm: str, viscous_Nms_rad: float) -> None:
         """Replace the viscous friction of one arm's joints: large for a seized gear, its own value to let go again."""
+        self._settle()
         joints = self.slices[self.spec.names.index(arm)]
         self.servos.set_viscous(joints, viscous_Nms_rad)
         if self._dry is not None:
             self._dry.set_viscous(joints, viscous_Nms_rad)
+
+    def _settle(self) -> None:
+        """Work out the last snapshot, before something is changed that it has not kept."""
+        if self._kept is not None:
+            self._kept.observation()
+
+
+def _in_object_axes(wrench_world: Vector, q: Vector) -> Vector:
+    """A wrench (6,) on the object, from world axes to those of the object at q."""
+    R_object_world = pin.XYZQUATToSE3(q[-7:]).rotation.T
+    return np.concatenate([R_object_world.dot(wrench_world[:3]), R_object_world.dot(wrench_world[3:])])

@@ -33,7 +33,7 @@ from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import GraspMeter
 from sim_backend.physics.openings import Openings
 from sim_backend.physics.pads import KAPPA, Pads
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from sim_backend.physics.spec import PlantError, PlantSpec, diverged
 
 MAX_TURN_RAD: Final = 5e-3  # of a joint, on one linearisation

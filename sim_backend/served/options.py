@@ -44,6 +44,7 @@ class ServerOptions:
     utc_offset_ns: int = 0  # UTC minus the plant's clock, told to every agent: all stamps of the cell have one origin
     ticks: int | None = None  # end after so many; None: when every arm has said BYE
     observe_every: int = 1  # ticks between two calls of on_tick
+    pause: Callable[[int], None] = lambda _: None  # told the stamp of such a tick before its time passes; may wait
     lost_arm: LostArm = LostArm.END_RUN
     supported_start: bool = True  # the cell rests on a support until the first torques have come through the delay
     stop: Callable[[], bool] = lambda: False  # asked every tick, and ten times a second while nothing happens

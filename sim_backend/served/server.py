@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 
 from drivers.interface import Refusal, Vector
-from sim_backend.physics.build import AnyPlant
+from sim_backend.physics.build import AnyPlant, snapshot
 from sim_backend.physics.delay import DelayLine, stretches
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation, Snapshot
 from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, PlantError, substep_of
 from sim_backend.served.instants import Instants
 from sim_backend.served.listener import Listener
@@ -41,8 +41,9 @@ def serve(
 ) -> Summary:
     """Serve the plant until every arm has said BYE, `ticks` have passed, or `stop()` is true.
 
-    on_tick(tick, stamp_ns, observation) is called from inside the tick and must not block.  on_listening() is called
-    once arms can connect.  Raises ArmVanished, PlantError; the socket is gone in every case.
+    on_tick(tick, stamp_ns, observation) is called from inside the tick, once everybody has been told what can be told,
+    and must not block.  on_listening() is called once arms can connect.  Raises ArmVanished, PlantError; the socket is
+    gone in every case.
     """
     with Listener(options.socket_path) as listener, _quiet_gc():
         server = _Server(plant, options, on_tick, listener)
@@ -51,6 +52,7 @@ def serve(
                 on_listening()
             return server.run()
         except PlantError as error:
+            server.look()
             server.tell_all(error)
             raise
         finally:
@@ -97,6 +99,7 @@ class _Server:
         self._reached = 0  # tick whose state is known: the present one, or the next while answers are due
         self._instants = Instants(options)
         self._lost_arms: list[str] = []
+        self._kept: tuple[int, int, Snapshot] | None = None  # tick and stamp of what on_tick is still to be told
 
     def run(self) -> Summary:
         while any(s.phase is not Attendance.ON for s in self._seats):
@@ -151,8 +154,10 @@ class _Server:
             self._reached = self._tick + 1
             if self._options.lockstep and self._reached != self._options.ticks:
                 self._send(on)
+        self.look()
         self._collect(on)
         self._integrate(self._after_answers)
+        self.look()
         self._tick += 1
         self._reached = self._tick
 
@@ -190,17 +195,24 @@ class _Server:
             for seat in self._seats:
                 tau[seat.joints] = seat.delay.acting(tick, begin)
             if begin == 0 and self._on_tick is not None and tick % self._options.observe_every == 0:
-                self._on_tick(tick, self._instants.stamp_ns(tick), self._plant.observe(tau))
+                self._kept = tick, self._instants.stamp_ns(tick), snapshot(self._plant, tau)
+                self._options.pause(self._kept[1])
             if tick * self._substeps + begin < self._support_substeps:
                 self._plant.rest(count)
             else:
                 self._plant.advance(tau, count)
 
+    def look(self) -> None:
+        """Tell on_tick of the last instant that was kept for it; working it out takes longer than the tick's motion."""
+        if self._kept is not None and self._on_tick is not None:
+            (tick, stamp_ns, kept), self._kept = self._kept, None
+            self._on_tick(tick, stamp_ns, kept.observation())
+
     def _collect(self, on: list[Seat]) -> None:
         if not self._options.lockstep:
             self._instants.sleep_until(self._tick + 1)
         limp = self._plant.calendar.limp(self._tick * self._substeps)
-        for seat in on:
+        for seat in reversed(on):  # the last to be told answers last: who waits for it first is woken once
             if seat.limp_at_tick is not None and self._tick >= seat.limp_at_tick:
                 seat.leave(Attendance.ABSENT)
                 continue

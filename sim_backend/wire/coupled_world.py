@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.interface import Vector
 from sim_backend.physics.build import AnyPlant
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 
 
 class CoupledWorld:

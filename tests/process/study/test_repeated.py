@@ -18,7 +18,7 @@ from agent.study.lab import Laboratory, Run
 from agent.study.measure import measure
 from agent.study.study import worst_cell
 from agent.telemetry.row.sample import MAX_JOINTS
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from tests.support.loaded import coop
 from tests.support.study import cell
 

@@ -9,7 +9,7 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.loop import Outcome
 from agent.safety import Flag
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from tests.support.plant.inprocess import simulate
 
 ARMS = ("arms.right.p_world_base_m=[0.607, -0.125, 0.0]",)  # what the agents believe: a base 4 mm off

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
-from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.plant import Plant
+from sim_backend.physics.snapshot import Observation
 from sim_backend.physics.spec import PlantSpec
 from tests.support.plant.plant_cells import planar_cell, spatial_cell
 

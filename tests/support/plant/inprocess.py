@@ -22,7 +22,7 @@ from drivers.interface import JointState, Vector
 from sim_backend.physics.actuator import Grid, TorqueCommand
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.delay import DelayLine, stretches
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from tests.support.starts import start_joints
 
 

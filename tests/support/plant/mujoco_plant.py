@@ -21,7 +21,7 @@ from drivers.interface import Vector
 from drivers.pads import damping, swinging_inertia
 from sim_backend.physics.actuator import Servos
 from sim_backend.physics.calendar import Calendar
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from sim_backend.physics.spec import ArmSpec, GraspSpec, PlantSpec, diverged
 
 WELD: Final = GraspSpec(stiffness_N_per_m=1e6, stiffness_Nm_per_rad=1e3)

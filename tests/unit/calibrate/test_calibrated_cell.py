@@ -24,7 +24,7 @@ from agent.config.schema.reality import ArmReality, Reality
 from agent.process.floating_cell import FloatOptions, floating_cell
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.servo.counts import TICK_RAD
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from tests.support.calibrate_rig import UNSURE, rig
 from tests.support.command import coop
 from tests.support.drawn_once import drawn_once

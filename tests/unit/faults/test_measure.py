@@ -18,7 +18,7 @@ from agent.modes import Mode
 from agent.safety import Flag
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.events import DriverEvent, EventKind
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 
 CELL = load_cell(Path("two_wx200"), ["duration_s=2.0"])
 ZERO_NS = 5_000_000_000

@@ -17,7 +17,7 @@ from agent.process.simulated import plant_spec
 from agent.telemetry.ring.writer import RingWriter, RowsUntaken
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
 from sim_backend.physics.build import build_plant
-from sim_backend.physics.plant import Observation
+from sim_backend.physics.snapshot import Observation
 from sim_backend.served.options import LostArm, Summary
 from tests.support.starts import start_joints
 

@@ -16,7 +16,8 @@ from drivers.interface import DriverError
 from sim_backend.physics.actuator import ActuatorSpec, TorqueCommand
 from sim_backend.physics.calendar import Limpness
 from sim_backend.physics.delay import DelayLine, stretches
-from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.plant import Plant
+from sim_backend.physics.snapshot import Observation
 from sim_backend.physics.spec import PlantError
 from sim_backend.served.driver import SimDriver
 from tests.support.plant.plant_cells import planar_cell
