@@ -36,7 +36,10 @@ def build(
 
 REFUSALS: list[tuple[Callable[[], ArmModel], str]] = [
     (lambda: build(ee_frame="hand"), r"end-effector frame: found 'hand', expected one of .*'ee'"),
-    (lambda: build(["shoulder", "elbow", "knee"]), r"joint names: found knee"),
+    (
+        lambda: build(["shoulder", "elbow", "knee"]),
+        r"joint names: found knee, expected names among waist, shoulder, .*; correct the cell$",
+    ),
     (lambda: build(locked={**REST, "knee": 0.0}), r"joint names: found knee"),
     (lambda: build(locked={"waist": 0.0}), r"neither controlled nor locked: found wrist_rotate"),
     (lambda: build(["elbow", "shoulder", "wrist_angle"]), r"order of controlled joints: .* from base to tip"),

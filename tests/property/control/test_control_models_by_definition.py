@@ -176,8 +176,12 @@ LOOSE = [
         ("<robot", r"URDF: found .+, expected a robot description; check it with check_urdf"),
         (LOOSE[0], r"joints of the URDF: found waist \(.*\), expected joints with one angle"),
         (LOOSE[1], r"joints of the URDF: found elbow \(.*\), expected joints with one angle"),
+        (
+            '<robot name="r"><link name="ee"/></robot>',
+            r"joint names: found .*, expected joints that move: the URDF has none of them; give the URDF",
+        ),
     ],
-    ids=["overflow", "no URDF", "first joint", "another joint"],
+    ids=["overflow", "no URDF", "first joint", "another joint", "no joint"],
 )
 def test_a_urdf_that_describes_no_arm_is_refused(xml: str, said: str) -> None:
     with pytest.raises(ModelError, match=said):
