@@ -34,9 +34,8 @@ class Notifier:
         self._is_longer = False  # the watchdog's interval than the unit's
         self._watchdog_us = os.environ.get("WATCHDOG_USEC", "")  # the unit's interval; empty without one
         self._socket: socket.socket | None = None  # not connected: who comes back under that name is told again
-        self._address = ""
+        self._address = "\0" + path[1:] if path.startswith("@") else path
         if path:
-            self._address = "\0" + path[1:] if path.startswith("@") else path
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
                 probe.connect(self._address)
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
@@ -88,7 +87,6 @@ class Notifier:
         self.send(f"STOPPING=1\nSTATUS={status}")
 
     def close(self) -> None:
-        """Give the socket back; twice is fine."""
+        """Give the socket back; twice is fine, and what is sent afterwards is lost."""
         if self._socket is not None:
             self._socket.close()
-            self._socket = None

@@ -9,6 +9,7 @@ Array = NDArray[np.float64]
 
 
 def product(a: Array, b: Array) -> Array:
-    """a ⊗ b of quaternions (k, 4) each.  Source: eq:quat_prod."""
+    """a ⊗ b of quaternions (k, 4) each."""
+    # eq:quat_prod
     w = a[:, :1] * b[:, :1] - np.sum(a[:, 1:] * b[:, 1:], axis=1, keepdims=True)
     return np.hstack([w, a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])])

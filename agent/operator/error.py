@@ -11,6 +11,12 @@ class ControlError(Refusal):
     exit_code = 7
 
 
+class ControlPlaceError(ControlError):
+    """An agent cannot listen for operators where it was told to; nothing was begun."""
+
+    exit_code = 2
+
+
 class InstantError(ControlError):
     """A command line that names no instant, two of them, or one that cannot be read; no arm has been asked."""
 

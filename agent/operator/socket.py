@@ -18,7 +18,7 @@ from typing import Any
 
 from agent.host.unix_socket import WAIT_S, listen_alone, remove, said_of
 from agent.modes import Event, Mode
-from agent.operator.error import ControlError
+from agent.operator.error import ControlPlaceError
 from agent.operator.message import MAX_BYTES, Reply, Request
 from agent.operator.promise import Promise
 from agent.operator.session_table import SESSION
@@ -72,7 +72,7 @@ class ControlSocket:
     """The agent's end; `poll` is one system call when nobody asks."""
 
     def __init__(self, path: Path, fingerprint: str, standing: Standing, wait_s: float = WAIT_S) -> None:
-        """Listen at `path` (mode 0600), in the place of a socket that nobody serves.  Raises ControlError.
+        """Listen at `path` (mode 0600), in the place of a socket that nobody serves.  Raises ControlPlaceError.
 
         wait_s: for another process that begins in the same folder.
         """
@@ -85,12 +85,12 @@ class ControlSocket:
         try:
             taken = listen_alone(path, _CLIENTS_MAX, wait_s)
         except OSError as error:
-            raise ControlError(
+            raise ControlPlaceError(
                 f"control socket {path}", found=said_of(error), expected="a free name in a folder that can be written",
                 remedy="name another with --control",
             ) from error  # fmt: skip
         if taken is None:
-            raise ControlError(
+            raise ControlPlaceError(
                 f"control socket {path}", found="an agent that listens there", expected="none",
                 remedy="end that agent first, or name another with --control",
             )  # fmt: skip

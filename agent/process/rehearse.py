@@ -44,6 +44,15 @@ def driver_of(cell: CellFiles, arm: str, asked: DriverKind | None) -> DriverKind
     return kind
 
 
+def require_port_of(kind: DriverKind, arm: str, port: str | None) -> None:
+    """Refuse a port for an arm that is simulated, which would open none.  Raises ConfigError."""
+    if port is not None and kind is DriverKind.SIM:
+        raise ConfigError(
+            f"--port of arm {arm}", found=f"{port}, and an arm that is simulated", expected="servos on that port",
+            remedy="give --driver dynamixel, too, or leave out --port",
+        )  # fmt: skip
+
+
 def require_wall_clock(cell: CellFiles, *, real_time: bool, found: str = "a run in lockstep") -> None:
     """Refuse a rehearsal in lockstep: a real arm waits for nobody.  Raises ConfigError.
 

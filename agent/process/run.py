@@ -141,7 +141,7 @@ def _cell_of(options: RunOptions) -> Cell:
             f"cell {cell.file.name}", found="[floating], by which arms wait for a hand", expected="arms that work",
             remedy="`coop float`, or remove the table",
         )  # fmt: skip
-    if round(cell.file.duration_s * cell.file.rate_hz) < 1:
+    if cell.file.duration_s * cell.file.rate_hz < 1.0 - 1e-9:
         raise RunError(
             f"duration_s of cell {cell.file.name}", found=f"{cell.file.duration_s:g} s",
             expected=f"one cycle at least, {1.0 / cell.file.rate_hz:g} s", remedy="lengthen the run",

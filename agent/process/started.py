@@ -75,6 +75,7 @@ def agent(command: AgentCommand, listener: Listener) -> int:
         in_the_loop,
         require_empty_gripper,
         require_one_host,
+        require_port_of,
         require_wall_clock,
         taken,
     )
@@ -82,6 +83,7 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     requested = begin(command.with_parent)
     loaded, arm, emulated = load_cell(command.cell), command.arm, command.emulated
     kind = driver_of(loaded, arm, command.driver)
+    require_port_of(kind, arm, command.port)
     name = loaded.file.name
     if not emulated:
         require_one_host(loaded)
@@ -149,11 +151,12 @@ def guard(command: GuardCommand, listener: Listener) -> int:
     from agent.config.cell import load_cell
     from agent.host.paths import control_path, guard_path, make_runtime_dir
     from agent.process.guard import run_guard
-    from agent.process.rehearse import driver_of, holds
+    from agent.process.rehearse import driver_of, holds, require_port_of
 
     requested = begin(command.with_parent)
     loaded, arm = load_cell(command.cell), command.arm
     kind = driver_of(loaded, arm, command.driver)
+    require_port_of(kind, arm, command.port)
     name = loaded.file.name
     if command.socket is None or command.control is None:
         make_runtime_dir(name)

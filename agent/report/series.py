@@ -27,9 +27,10 @@ DURATIONS: Final = ("late_s", "read_s", "step_s", "write_s")  # of a cycle, as i
 
 
 def attitude_error(quat_des: Array, quat: Array) -> Array:
-    """e_ξ = ξ_d ⊗ ξ_O*, `(k, 4)` scalar first, normalised, from two `(k, 4)`.  Source: eq:quat_error."""
+    """e_ξ = ξ_d ⊗ ξ_O*, `(k, 4)` scalar first, normalised, from two `(k, 4)`."""
     eta_d, eps_d = quat_des[:, :1], quat_des[:, 1:]
     eta, eps = quat[:, :1], quat[:, 1:]
+    # eq:quat_error
     e_eta = eta * eta_d + np.sum(eps * eps_d, axis=1, keepdims=True)
     e_eps = eta * eps_d - eta_d * eps + np.cross(eps, eps_d)
     e = np.hstack([e_eta, e_eps])

@@ -16,16 +16,22 @@ LONGEST_PATH_BYTES: Final = 107  # sun_path without its terminating zero
 BACKLOG: Final = 16
 
 
+class ListenError(PlantError):
+    """The plant cannot listen where it was told to; nothing was begun."""
+
+    exit_code = 2
+
+
 class Listener:
     """A listening SOCK_SEQPACKET socket, mode 0600; gone from the file system on the way out.
 
-    Raises PlantError when the path is too long, not a socket, or another plant answers there.
+    Raises ListenError when the path is too long, not a socket, or another plant answers there.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         if len(os.fsencode(path)) > LONGEST_PATH_BYTES:
-            raise PlantError(
+            raise ListenError(
                 "socket of the plant",
                 found=f"{path} ({len(os.fsencode(path))} bytes)",
                 expected=f"at most {LONGEST_PATH_BYTES} bytes",
@@ -41,7 +47,7 @@ class Listener:
             self._inode = path.stat().st_ino
         except OSError as e:
             self.socket.close()
-            raise PlantError(
+            raise ListenError(
                 "socket of the plant",
                 found=f"{path}: {e}",
                 expected="a path to listen on",
@@ -59,13 +65,13 @@ class Listener:
 
 
 def _clear(path: Path) -> None:
-    """Remove a socket that nobody serves any more.  Raises PlantError when it must not be removed."""
+    """Remove a socket that nobody serves any more.  Raises ListenError when it must not be removed."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
-        raise PlantError(
+        raise ListenError(
             "socket of the plant", found=f"{path} is not a socket", expected="a free path", remedy="choose another path"
         )
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
@@ -78,10 +84,10 @@ def _clear(path: Path) -> None:
         except BlockingIOError:
             pass  # its queue is full, so it is alive
         except OSError as e:
-            raise PlantError(
+            raise ListenError(
                 "socket of the plant", found=f"{path}: {e}", expected="a free path", remedy="choose another path"
             ) from e
-    raise PlantError(
+    raise ListenError(
         "socket of the plant",
         found=f"another plant answers at {path}",
         expected="a free path",

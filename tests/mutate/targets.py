@@ -26,7 +26,7 @@ _STEP = tuple(
     f"{UNIT}/{name}.py"
     for name in (
         "test_step", "test_step_rules", "test_step_together", "test_step_session", "test_singular", "test_hold",
-        "test_calm", "control/test_brace",
+        "test_calm", "control/test_brace", "control/test_friction_factor",
         "control/test_adaptive", "control/test_floating", "guard/test_resume", "monitors/test_monitors",
     )
 )  # fmt: skip

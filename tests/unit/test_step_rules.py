@@ -224,3 +224,14 @@ def test_the_observers_velocity_is_what_the_law_gets() -> None:
     assert not np.allclose(dq, measured.dq, atol=0.01)
     np.testing.assert_array_equal(outcome.q, q)
     np.testing.assert_array_equal(outcome.dq, dq)
+
+
+@pytest.mark.parametrize("missed", [0, 1, 2])
+def test_ticks_without_a_state_make_no_tick_of_a_motion_older(missed: int) -> None:
+    """A motion goes by t; what goes by the age of its mode catches up with the clock."""
+    agent = arm()
+    memory = initial_memory(agent)._replace(age=3.0, t=1.0)
+    now = 1.0 + (1 + missed) * agent.period_s
+    tracking, waiting = (tick(agent, start(), mode, memory, now) for mode in (Mode.TRACK, Mode.READY))
+    assert tracking.memory.age == pytest.approx(3.0 + agent.period_s, abs=1e-12)
+    assert waiting.memory.age == pytest.approx(3.0 + (1 + missed) * agent.period_s, abs=1e-12)

@@ -20,7 +20,7 @@ class NetworkError(Refusal):
 
 
 class EndpointError(NetworkError):
-    """Somebody is to listen where nobody can; nothing was opened."""
+    """No place to listen at or to connect to; nothing was opened."""
 
     exit_code = 2
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import zenoh
 
 from agent.host import open_files
-from agent.telemetry.link.endpoint import NetworkError, require_endpoint
+from agent.telemetry.link.endpoint import EndpointError, NetworkError, require_endpoint
 
 MESSAGE_BYTES_MAX: Final = 1 << 20  # Zenoh's default would let a stranger ask for 1 GiB
 _PORT_ATTEMPTS: Final = 20
@@ -198,7 +198,7 @@ def _from_table(network: Network, listen: str | None) -> zenoh.Config:
         for key, value in table.items():
             config.insert_json5(key, json.dumps(value))
     except zenoh.ZError as error:
-        raise NetworkError(
+        raise EndpointError(
             "endpoint",
             found=", ".join(filter(None, (listen, *network.connect))),
             expected="like tcp/127.0.0.1:7448",

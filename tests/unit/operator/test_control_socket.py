@@ -666,7 +666,7 @@ def test_a_place_that_cannot_be_made_is_refused_and_nothing_stays_open(tmp_path:
     with pytest.raises(ControlError, match=r"control socket .*: found .*, expected .* folder that can be written") as e:
         listening(tmp_path / "file" / "left.control")
     assert descriptors() == before
-    assert (e.value.exit_code, ControlError.exit_code) == (7, 7)
+    assert (e.value.exit_code, ControlError.exit_code) == (2, 7)
 
 
 def test_closing_twice_is_fine_and_lets_clients_go(path: Path) -> None:

@@ -20,10 +20,40 @@ def options(duration_s: float) -> RunOptions:
     return RunOptions(Path("paper"), (), duration_s, None, 0, RunKind.LOCKSTEP)
 
 
-@pytest.mark.parametrize("duration_s", [0.001, 0.0025])
+@pytest.mark.parametrize("duration_s", [0.001, 0.0049])
 def test_a_run_of_no_cycle_is_refused(duration_s: float) -> None:
     with pytest.raises(RunError, match=f"duration_s of cell paper: found {duration_s} s, expected one cycle .*0.005 s"):
         _cell_of(options(duration_s))
+
+
+@pytest.mark.parametrize("words", [("agent", "--ring", "ring"), ("guard",)], ids=["agent", "guard"])
+def test_a_port_of_an_arm_that_is_simulated_is_refused(tmp_path: Path, words: tuple[str, ...]) -> None:
+    command, *more = words
+    done = coop(command, "two_wx200", "--arm", "left", "--port", "/dev/ttyDXL_left", *more, cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "--port of arm left: found /dev/ttyDXL_left, and an arm that is simulated" in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("plant", "two_wx200", "--socket", "kept"),
+        ("plant", "two_wx200", "--ring", "kept"),
+        ("agent", "two_wx200", "--arm", "left", "--ring", "ring", "--control", "kept"),
+        ("telemetry", "paper", "--arm", "left", "--ring", "ring", "--connect", "garbage"),
+        ("record", "paper", "--listen", "garbage"),
+    ],
+    ids=lambda words: " ".join(words[::3]),
+)
+def test_what_is_in_the_way_and_what_is_no_place_has_the_code_of_what_never_began(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    (tmp_path / "kept").write_text("somebody's")
+    done = coop(*words, cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert len(done.err.splitlines()) == 1
+    assert (tmp_path / "kept").read_text() == "somebody's"
 
 
 def test_a_run_whose_recorder_could_listen_nowhere_is_refused_and_leaves_no_folder(tmp_path: Path) -> None:
@@ -60,7 +90,7 @@ def test_the_help_of_a_run_promises_no_length_that_is_refused() -> None:
 
 
 def test_a_run_of_one_cycle_is_none_too_short() -> None:
-    assert _cell_of(options(0.003)).file.duration_s == 0.003
+    assert _cell_of(options(0.005)).file.duration_s == 0.005
 
 
 @pytest.mark.parametrize(

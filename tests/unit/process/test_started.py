@@ -88,7 +88,7 @@ def test_who_starts_an_arm_that_nobody_else_would_hold_is_told_so(given: Any) ->
     servos = replace(AGENT, guard=None)
     for command, told in (
         (servos, True), (AGENT, False), (replace(servos, whole=False, hold=False), False),
-        (replace(servos, driver=DriverKind.SIM), False),
+        (replace(servos, driver=DriverKind.SIM, port=None), False),
     ):  # fmt: skip
         said = list[str]()
         given(command, said.append)
