@@ -634,10 +634,12 @@ def test_a_folder_that_a_reader_keeps_locked_is_waited_for_not_for_ever_and_who_
 
 def test_a_folder_that_becomes_free_while_an_agent_waits_is_taken(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reader = os.open(path.parent, os.O_RDONLY)
+    slept: list[float] = []
     fcntl.flock(reader, fcntl.LOCK_SH)
-    monkeypatch.setattr(unix_socket.time, "sleep", lambda _: os.close(reader))
+    monkeypatch.setattr(unix_socket.time, "sleep", lambda s: (slept.append(s), os.close(reader)))
     with closing(listening(path)):
         assert path.is_socket()
+    assert slept == [unix_socket._LOOK_S]  # looked at again soon, and not at the end of the wait
 
 
 def test_closing_leaves_a_socket_that_has_taken_the_name(path: Path) -> None:
