@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import logging
 import pickle
+import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -26,6 +27,7 @@ CONNECT_S: Final = 10.0
 LOOK_EVERY_S: Final = 0.05  # for runs that are done
 WORKERS_EVERY_S: Final = 5.0  # for workers, while none is
 
+_GARBLED: Final = (MemoryError, struct.error)  # an answer of another protocol, its first bytes read as a length
 _UNABLE: Final = (ImportError, AttributeError, SyntaxError, OSError)  # what is raised where our modules do not load
 
 
@@ -133,6 +135,8 @@ def _require_answer(distributed: Any, address: str) -> None:
         asyncio.run(asyncio.wait_for(_greet(distributed, address), CONNECT_S))
     except (OSError, ValueError, TypeError) as error:  # TypeError: no certificates, or a transport without its package
         raise _no_answer(address, error) from error
+    except _GARBLED as error:
+        raise _no_scheduler(address, "an answer that is no Dask scheduler's, as of SSH or HTTP") from error
 
 
 async def _greet(distributed: Any, address: str) -> None:
@@ -150,9 +154,13 @@ def _client(distributed: Any, address: str) -> Any:
 
 def _no_answer(address: str, error: Exception) -> StudyError:
     why = type(error).__name__ if isinstance(error, OSError) else str(error)
+    return _no_scheduler(address, f"no answer ({why})")
+
+
+def _no_scheduler(address: str, found: str) -> StudyError:
     return StudyError(
         f"scheduler {address}",
-        found=f"no answer ({why})",
+        found=found,
         expected=f"a Dask scheduler that answers within {CONNECT_S:g} s, such as tcp://host:8786",
         remedy="start one with `dask scheduler`, or leave --scheduler out to use this machine",
     )

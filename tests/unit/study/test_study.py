@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import gc
 import json
@@ -779,6 +780,41 @@ def test_a_scheduler_that_does_not_answer_is_one_line(
     assert done.err.startswith(f"coop: scheduler {address}: found {found}")
     assert done.err.count("\n") == 1
     gc.collect()  # what a half-made client would say at its end is an error of this test
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"SSH-2.0-OpenSSH_9.6\r\n",
+        b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\nConnection: close\r\n\r\n",
+        bytes(64),
+    ],
+    ids=["SSH", "HTTP", "zeros"],
+)
+def test_something_else_that_answers_at_the_address_of_a_scheduler_is_one_line(tmp_path: Path, said: bytes) -> None:
+    def answer() -> None:
+        with contextlib.suppress(OSError), listener.accept()[0] as peer:
+            peer.settimeout(20.0)
+            peer.sendall(said)
+            while peer.recv(4096):
+                pass
+
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        listener.settimeout(20.0)
+        answering = threading.Thread(target=answer)
+        answering.start()
+        address = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        done = coop("study", cell_file(tmp_path), "--runs", "1", "--out", tmp_path / "out", "--scheduler", address)
+        answering.join()
+    assert done.code == 2
+    assert done.err == (
+        f"coop: scheduler {address}: found an answer that is no Dask scheduler's, as of SSH or HTTP, expected a Dask "
+        "scheduler that answers within 10 s, such as tcp://host:8786; start one with `dask scheduler`, or leave "
+        "--scheduler out to use this machine\n"
+    )
+    gc.collect()
 
 
 def test_without_the_package_the_scheduler_is_refused_with_the_remedy(
