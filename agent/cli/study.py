@@ -62,7 +62,7 @@ def study(
         cells = {one.file.name: one for one in plan.cells}
         for name, found in outcome.document["cells"].items():
             typer.echo(f"{name} {verdict(found)}")
-            if found["unsettled"]:
+            if found["ended_early"] or found["counted_from_start"]:
                 typer.echo(counting(cells[name], found, plan.faults))
         typer.echo(f"results  {out / 'study.json'}")
         if outcome.document["runs"]:
@@ -88,7 +88,7 @@ def _table(outcome: StudyOutcome) -> Table:
     from rich import box
     from rich.table import Table
 
-    from agent.study.summary import FIGURES, PROMISED
+    from agent.study.summary import FIGURES, PROMISED, QUANTILES, quantile
 
     document = outcome.document
     counts = ", ".join(f"{document[key]} {key.replace('_', ' ')}" for key in ("lost", "tripped", "within_bounds"))
@@ -97,8 +97,8 @@ def _table(outcome: StudyOutcome) -> Table:
         table.add_column(heading, justify="left" if heading in ("cell", "figure") else "right")
     for name, found in document["cells"].items():
         for figure in FIGURES:
-            values, bound = found[figure], found["bounds"].get(figure)
-            if values["50"] is not None:
-                cells = ["–" if values[q] is None else f"{values[q]:.4g}" for q in ("50", "95", "100")]
+            bound = found["bounds"].get(figure)
+            if found[figure]["50"] is not None:
+                cells = [quantile(found, figure, str(q)) for q in QUANTILES]
                 table.add_row(name, figure, *cells, "" if bound is None else f"{bound:g}")
     return table

@@ -18,9 +18,21 @@ from agent.config.schema.fault import Fault
 from agent.report.page import STYLE
 from agent.report.plotting import BLUE, RED, panels, save_png, styled
 from agent.study.measure import RunResult
-from agent.study.summary import FIGURES, PROMISED, QUANTILES, Influence, counted, counting, verdict
+from agent.study.summary import (
+    ENDED_EARLY,
+    FIGURES,
+    LEAST_RUNS,
+    PROMISED,
+    QUANTILES,
+    Influence,
+    counted,
+    counting,
+    quantile,
+    verdict,
+)
 
 SHOWN: Final = 12  # influences in the table
+SHOWN_EARLY: Final = 4  # of them at most of ending early
 DRAWN: Final = (  # figure, its axis, factor
     ("position_beyond_anchor_m", "position error [mm]", 1e3),
     ("attitude_beyond_anchor_rad", "attitude error [mrad]", 1e3),
@@ -76,7 +88,7 @@ def _quantiles(found: dict[str, Any]) -> str:
     head = "".join(f"<th>{q} %</th>" for q in QUANTILES) + f"<th>bound of {PROMISED} %</th>"
     body = ""
     for figure in FIGURES:
-        values = "".join(f"<td>{_number(found[figure][str(q)])}</td>" for q in QUANTILES)
+        values = "".join(f"<td>{quantile(found, figure, str(q))}</td>" for q in QUANTILES)
         body += f"<tr><td>{figure}</td>{values}<td>{_number(found['bounds'].get(figure))}</td></tr>"
     return f"<table><thead><tr><th>not above, in so many of the runs</th>{head}</tr></thead>{body}</table>"
 
@@ -87,12 +99,15 @@ def _number(value: float | None) -> str:
 
 def _influences(found: Sequence[Influence], runs: int) -> str:
     if not found:
-        return "<p>Too few runs to tell which error of reality matters most.</p>"
-    body = "".join(
-        f"<tr><td>{i.error}</td><td>{i.figure}</td><td>{i.correlation:+.2f}</td></tr>" for i in found[:SHOWN]
-    )
+        why = "Too few runs" if runs < LEAST_RUNS else "All runs are alike, or all were lost or tripped: nothing"
+        return f"<p>{why} to tell which error of reality matters most.</p>"
+    early = [i for i in found if i.figure == ENDED_EARLY][:SHOWN_EARLY]
+    shown = [*early, *(i for i in found if i.figure != ENDED_EARLY)][:SHOWN]
+    body = "".join(f"<tr><td>{i.error}</td><td>{i.figure}</td><td>{i.correlation:+.2f}</td></tr>" for i in shown)
     head = "<tr><th>error of reality</th><th>goes with</th><th>rank correlation</th></tr>"
     chance = f"By chance alone one in twenty is beyond ±{2.0 / math.sqrt(runs - 1):.2f} in {runs} runs."
+    if early:
+        chance += f" {ENDED_EARLY} is that a run was lost, or tripped before any fault."
     return f'<table class="words"><thead>{head}</thead>{body}</table>\n<p class="dim">{chance}</p>'
 
 
@@ -122,5 +137,6 @@ def _picture(name: str, figure: Figure) -> str:
         png = save_png(figure, Path(folder) / "figure.png")
     data = base64.b64encode(png).decode("ascii")
     caption = "Share of the runs that do not exceed a figure; crosses are runs that were lost or tripped."
+    caption += " Those that ended early lie at the largest figure: how they would have gone on is not known."
     image = f'<img src="data:image/png;base64,{data}" alt="{escape(name)}">'
     return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"

@@ -27,7 +27,7 @@ from agent.study.store import Store, has_begun
 from agent.study.summary import errors_of, influences, judged, summary, worst
 from agent.verify.check import examine
 
-SCHEMA: Final = 1  # of study.json; grows when a key changes its meaning
+SCHEMA: Final = 2  # of study.json; grows when a key changes its meaning
 STUDY, TABLE, PARQUET, PAGE, WORST = "study.json", "runs.csv", "runs.parquet", "report.html", "worst.toml"
 RESULTS: Final = (STUDY, TABLE, PARQUET, PAGE, WORST)
 

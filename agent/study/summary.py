@@ -21,6 +21,7 @@ from drivers.interface import Vector
 
 QUANTILES: Final = (50, 95, 100)  # %
 REACTION: Final = "reaction_s"  # of runs with a fault alone
+ENDED_EARLY: Final = "ended_early"  # beside the figures, in what errors of reality go with
 FIGURES: Final = (
     "position_error_m",
     "attitude_error_rad",
@@ -38,20 +39,28 @@ LEAST_RUNS: Final = 8  # a rank correlation of fewer says nothing
 
 @dataclass(frozen=True)
 class Influence:
-    """How strongly one error of reality goes with one figure: Spearman's rank correlation, −1 to 1."""
+    """How strongly one error of reality goes with one figure, or with ending early: Spearman's rank correlation."""
 
     error: str
     figure: str
-    correlation: float
+    correlation: float  # −1 to 1
+
+
+def ended_early(result: RunResult) -> bool:
+    """Whether the run was lost, or tripped before any fault: what its motion would have been is not known."""
+    return result.lost or gave_up(result.tripped_s, result.first_fault_s)
 
 
 def summary(results: Sequence[RunResult]) -> dict[str, Any]:
-    """Counts, and quantiles of each figure over all runs, lost ones as `counted` has them.
+    """Counts, and quantiles of each figure over all runs, those that ended early as `counted` has them.
 
+    `at_least` has the quantiles that fall on such a run: of every figure but a reaction they say no more than that.
     What the others make of a fault is of the runs that have one; a fault that no other arm notices counts as noticed
     later than any.
     """
     struck = [r for r in results if r.first_fault_s is not None]
+    early = [r for r in results if ended_early(r)]
+    unknown = _quantiles([float(ended_early(r)) for r in results]) if results else {}
     found = {
         "runs": len(results),
         "lost": sum(r.lost for r in results),
@@ -59,6 +68,10 @@ def summary(results: Sequence[RunResult]) -> dict[str, Any]:
         "tripped_by": dict(Counter(sorted(r.tripped_by for r in results if r.tripped))),
         "within_bounds": sum(r.within_bounds for r in results),
         "unsettled": sum(not r.settled for r in results),
+        "ended_early": len(early),
+        "ended_before_start": sum(_end_s(r) < 0.0 for r in early),
+        "counted_from_start": sum(not r.settled and not ended_early(r) for r in results),
+        "at_least": [q for q, at in unknown.items() if at],
     } | {figure: _quantiles(counted(struck if figure == REACTION else results, figure)) for figure in FIGURES}
     if struck:
         found["unnoticed"] = sum(r.reaction_s is None for r in struck)
@@ -66,17 +79,22 @@ def summary(results: Sequence[RunResult]) -> dict[str, Any]:
     return found
 
 
+def _end_s(result: RunResult) -> float:
+    """When the run was lost or an arm of it tripped, the first of both."""
+    return min((t for t in (result.tripped_s, result.lost_s) if t is not None), default=math.inf)
+
+
 def counted(results: Sequence[RunResult], figure: str) -> list[float | None]:
-    """One figure of every run; a lost run, of which the rest is not known, has the largest of all runs.
+    """One figure of every run; one that ended early, of which the rest is not known, has the largest of all runs.
 
     The largest number: a plant that diverges may have none.  But for a reaction, which is what it is whatever became of
     the object.
     """
     values = [getattr(r, figure) for r in results]
-    if figure == REACTION or not any(r.lost for r in results):
+    if figure == REACTION or not any(ended_early(r) for r in results):
         return values
     largest = max((value for value in values if math.isfinite(value)), default=0.0)
-    return [largest if r.lost else value for r, value in zip(results, values, strict=True)]
+    return [largest if ended_early(r) else value for r, value in zip(results, values, strict=True)]
 
 
 def judged(cell: Cell, found: Mapping[str, Any]) -> dict[str, Any]:
@@ -119,9 +137,17 @@ def counting(cell: Cell, found: Mapping[str, Any], faults: Sequence[Fault]) -> s
     faults: the study's, beside the cell's own.
     """
     words = f"Errors and forces count from {cell.file.report.transient_s:g} s on, until the first arm trips."
-    if found["unsettled"]:
+    if early := found["ended_early"]:
+        ended = "Lost, or tripped before the fault" if "unnoticed" in found else "Lost or tripped"
+        before = f" ({found['ended_before_start']} before the start)" if found["ended_before_start"] else ""
         words += (
-            f" Lost or tripped too early for that, and counted from the start with its error: {found['unsettled']}."
+            f" {ended}: {early} of {found['runs']}{before}; how they would have gone on is not known, so each counts as"
+            " the largest of all runs in every figure, and a quantile that falls on one is marked ≥."
+        )
+    if found["counted_from_start"]:
+        words += (
+            " Tripped for a fault too early for that, and counted from the start with its error: "
+            f"{found['counted_from_start']}."
         )
     if every := faults_of(cell, faults):
         words += f" In every run: {', '.join(fault.told for fault in every)}; they count on after it."
@@ -130,6 +156,14 @@ def counting(cell: Cell, found: Mapping[str, Any], faults: Sequence[Fault]) -> s
 
 def _kept(value: float | None, bound: float) -> bool:
     return value is not None and value <= bound
+
+
+def quantile(found: Mapping[str, Any], figure: str, q: str) -> str:
+    """One quantile of a summary in words: – for none, ≥ where it falls on a run that ended early."""
+    value = found[figure][q]
+    if value is None:
+        return "–"
+    return f"{'≥ ' if figure != REACTION and q in found['at_least'] else ''}{value:.4g}"
 
 
 def _quantiles(values: Sequence[float | None]) -> dict[str, float | None]:
@@ -142,11 +176,13 @@ def _quantiles(values: Sequence[float | None]) -> dict[str, float | None]:
 def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
     """Sizes of a reality's errors, one number each: of poses how far two arms disagree, of scales what they are.
 
-    Those are the mean of the arms, and as `..._off` how far they are from 1, whichever way.
+    Poses are as `..._largest` the size of that of the arm with the largest, too: an arm checks its own start, whatever
+    the others share.  Scales are the mean of the arms, and as `..._off` how far they are from 1, whichever way.
     """
     arms = list(real.arms.values())
     believed_s = cell.file.simulated_delay_s
     delay = 1.0 if real.delay_s is None or not believed_s else real.delay_s / believed_s
+    poses = {key: [getattr(a, key) for a in arms] for key in ("base_m", "base_rad", "grasp_m", "grasp_rad")}
     scales = {
         "masses": [a.masses * k for a in arms for k in a.link_masses or (1.0,)],
         "object": [real.object],
@@ -154,10 +190,7 @@ def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
         "delay": [delay],
     }
     return {
-        "base_m": _disagreement([a.base_m for a in arms]),
-        "base_rad": _disagreement([a.base_rad for a in arms]),
-        "grasp_m": _disagreement([a.grasp_m for a in arms]),
-        "grasp_rad": _disagreement([a.grasp_rad for a in arms]),
+        **{name: _disagreement(values) for name, values in poses.items()},
         "zeros_rad": float(np.linalg.norm([z for a in arms for z in a.zeros_rad])),
         "object_centre_m": float(np.linalg.norm(real.object_centre_m)),
         "torque_constant": float(np.linalg.norm([k - 1.0 for a in arms for k in a.torque_constant])),
@@ -167,6 +200,7 @@ def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
         "breakaway_Nm": float(np.linalg.norm([b for a in arms for b in a.breakaway_Nm])),
         "load_friction": float(np.linalg.norm([f for a in arms for f in a.load_friction])),
         "skew_s": max(a.skew_s for a in arms) - min(a.skew_s for a in arms),
+        **{f"{name}_largest": max(map(_size, values)) for name, values in poses.items()},
         **{name: float(np.mean(values)) for name, values in scales.items()},
         **{f"{name}_off": float(np.mean([abs(x - 1.0) for x in values])) for name, values in scales.items()},
     }
@@ -180,27 +214,33 @@ def _pads(real: Reality, key: str) -> float:
 
 def _disagreement(values: Sequence[tuple[float, float, float]]) -> float:
     """Largest distance of two arms' errors, or the size of the only one's."""
-    return max(
-        (float(np.linalg.norm(np.subtract(a, b))) for a, b in combinations(values, 2)),
-        default=float(np.linalg.norm(values[0])),
-    )
+    return max((_size(np.subtract(a, b)) for a, b in combinations(values, 2)), default=_size(values[0]))
+
+
+def _size(vector: Sequence[float] | Vector) -> float:
+    return float(np.linalg.norm(vector))
 
 
 def influences(cell: Cell, results: Sequence[RunResult]) -> list[Influence]:
-    """Every error of reality that varies against every figure that varies, the strongest first; none of few runs."""
+    """Every error of reality that varies against every figure that varies, the strongest first; none of few runs.
+
+    Before all figures comes ending early, where some runs did and some did not: an error that decides over it comes
+    before one that strains the others.
+    """
     if len(results) < LEAST_RUNS:
         return []
     drawn = [errors_of(draw(cell.file.tolerance, r.seed, cell), cell) for r in results]
     errors = {key: np.array([d[key] for d in drawn]) for key in drawn[0]}
     every = {figure: counted(results, figure) for figure in FIGURES}
     figures = {figure: np.array(values, dtype=np.float64) for figure, values in every.items() if None not in values}
+    figures[ENDED_EARLY] = np.array([ended_early(r) for r in results], dtype=np.float64)
     found = [
         Influence(error, figure, _spearman(x, y))
         for error, x in errors.items()
         for figure, y in figures.items()
         if np.ptp(x) > 0.0 and np.ptp(y) > 0.0
     ]
-    return sorted(found, key=lambda i: -abs(i.correlation))
+    return sorted(found, key=lambda i: (i.figure != ENDED_EARLY, -abs(i.correlation)))
 
 
 def _spearman(x: Vector, y: Vector) -> float:

@@ -50,6 +50,7 @@ from agent.study.summary import (
     errors_of,
     influences,
     judged,
+    quantile,
     summary,
     verdict,
     worst,
@@ -125,7 +126,7 @@ def a_result(index: int, **changes: object) -> RunResult:
         internal_force_mean_N=0.5, internal_force_max_N=1.0, peak_torque_fraction=0.2, reaction_s=None, tripped_by="",
         why="",
     )  # fmt: skip
-    return replace(good, **changes)  # type: ignore[arg-type]
+    return replace(good, **{"tripped_s": 30.0 if changes.get("tripped") else None, **changes})  # type: ignore[arg-type]
 
 
 def a_struck(index: int, **changes: object) -> RunResult:
@@ -468,11 +469,12 @@ def test_a_study_that_is_left_early_ends_its_processes(plan: Plan, monkeypatch: 
 def test_quantiles_are_of_all_runs_and_counts_of_each_kind() -> None:
     results = [a_result(i, internal_force_mean_N=float(i)) for i in range(1, 101)]
     results[0] = replace(results[0], lost=True, within_bounds=False)
-    results[1] = replace(results[1], tripped=True, within_bounds=False)
+    results[1] = replace(results[1], tripped=True, tripped_s=30.0, within_bounds=False)
     found = summary(results)
-    assert found["internal_force_mean_N"] == {"50": 51.0, "95": 96.0, "100": 100.0}, (
-        "the lost one counts as the largest"
+    assert found["internal_force_mean_N"] == {"50": 52.0, "95": 97.0, "100": 100.0}, (
+        "the lost one counts as the largest, and so does the one that tripped"
     )
+    assert (found["ended_early"], found["ended_before_start"], found["at_least"]) == (2, 0, ["100"])
     assert (found["runs"], found["lost"], found["tripped"], found["within_bounds"]) == (100, 1, 1, 98)
     assert found["reaction_s"] == summary([])["reaction_s"] == {"50": None, "95": None, "100": None}
     assert not {"unnoticed", "tripped_before_fault"} & set(found), "nothing befell anybody"
@@ -491,6 +493,25 @@ def test_a_lost_run_looks_good_in_no_figure() -> None:
     diverged = [replace(lost[0], internal_force_max_N=force) for force in (math.inf, math.nan)]
     only = summary([*lost, *diverged])
     assert all(math.isfinite(value) for figure in FIGURES for value in only[figure].values())
+
+
+def test_a_run_that_tripped_looks_good_in_no_figure_and_a_quantile_that_falls_on_it_is_marked() -> None:
+    """A start that is refused: calm, for nothing moved."""
+    calm = {"internal_force_mean_N": 0.0, "peak_torque_fraction": 0.0, "tripped": True, "settled": False}
+    kept = [a_result(i, internal_force_mean_N=0.1 * i) for i in range(1, 11)]
+    for tripped, marked in ((0, []), (1, ["95", "100"]), (9, ["95", "100"]), (11, ["50", "95", "100"])):
+        found = summary([*(a_result(i, tripped_s=-4.0, **calm) for i in range(tripped)), *kept])
+        assert found["internal_force_mean_N"]["100"] == pytest.approx(1.0)
+        assert (found["ended_early"], found["ended_before_start"], found["at_least"]) == (tripped, tripped, marked)
+        for q in ("50", "95", "100"):
+            assert quantile(found, "internal_force_mean_N", q).startswith("≥ ") is (q in marked)
+        assert found["internal_force_mean_N"]["50"] == pytest.approx(0.1 * min(-(-(10 + tripped) // 2), 10))
+    assert quantile(summary(kept), "reaction_s", "50") == "–"
+    for_a_fault = [a_struck(i, tripped=True, tripped_s=5.2, reaction_s=0.2, internal_force_mean_N=i) for i in range(9)]
+    found = summary(for_a_fault)
+    assert (found["ended_early"], found["at_least"], found["internal_force_mean_N"]["50"]) == (0, [], 4)
+    found = summary([*for_a_fault, a_struck(9, tripped=True, tripped_s=4.9, reaction_s=0.3)])
+    assert (found["ended_early"], found["at_least"], quantile(found, "reaction_s", "100")) == (1, ["95", "100"], "0.3")
 
 
 def test_a_fault_that_nobody_notices_counts_as_noticed_later_than_any() -> None:
@@ -603,14 +624,29 @@ def test_a_run_that_nothing_befell_is_worse_than_struck_ones_only_when_it_is_los
     assert worst([*sound, noticed, at_once, tripped]) is tripped
 
 
-def test_from_when_to_when_figures_count_is_said_with_faults_and_with_runs_that_count_from_their_start() -> None:
+UNKNOWN = (
+    "how they would have gone on is not known, so each counts as the largest of all runs in every figure, and a "
+    "quantile that falls on one is marked ≥."
+)
+
+
+def test_from_when_to_when_figures_count_is_said_with_faults_and_with_runs_that_ended_early() -> None:
     c, limp = cell(), Fault(kind=FaultKind.LIMP, arm="left", at_s=0.3)
     until = "Errors and forces count from 0.2 s on, until the first arm trips."
     assert counting(c, summary([a_result(0)]), []) == until
-    early = summary([a_result(0), a_result(1, settled=False, tripped=True)])
-    assert early["unsettled"] == 1
-    assert counting(c, early, [limp]) == (
-        f"{until} Lost or tripped too early for that, and counted from the start with its error: 1."
+    late, early, unready = (
+        a_result(i, settled=t > 0.2, tripped=True, tripped_s=t) for i, t in ((1, 30.0), (2, 0.1), (3, -4.0))
+    )
+    assert counting(c, summary([a_result(0), late, early]), []) == f"{until} Lost or tripped: 2 of 3; {UNKNOWN}"
+    found = summary([a_result(0), late, early, unready, a_result(4, lost=True, lost_s=-1.0)])
+    assert (found["unsettled"], found["ended_early"], found["counted_from_start"]) == (2, 4, 0)
+    assert counting(c, found, []) == f"{until} Lost or tripped: 4 of 5 (2 before the start); {UNKNOWN}"
+    noticed = a_struck(0, first_fault_s=0.05, settled=False, tripped=True, tripped_s=0.1, reaction_s=0.05)
+    found = summary([noticed, a_struck(1, tripped=True, tripped_s=4.9)])
+    assert (found["unsettled"], found["ended_early"], found["counted_from_start"]) == (1, 1, 1)
+    assert counting(c, found, [limp]) == (
+        f"{until} Lost, or tripped before the fault: 1 of 2; {UNKNOWN}"
+        " Tripped for a fault too early for that, and counted from the start with its error: 1."
         " In every run: limp left at 0.3 s; they count on after it."
     )
     own = cell("simulation.fault=[{kind='open', arm='right', at_s=0.25}, {kind='limp', arm='left', at_s=0.3}]")
@@ -619,13 +655,15 @@ def test_from_when_to_when_figures_count_is_said_with_faults_and_with_runs_that_
         assert counting(own, summary([a_result(0)]), given) == both
 
 
-def test_runs_that_count_from_their_start_are_said_on_the_terminal_and_the_page(tmp_path: Path) -> None:
+def test_runs_that_ended_early_are_said_on_the_terminal_and_the_page(tmp_path: Path) -> None:
     path, out = cell_file(tmp_path, "safety.tracking_error_max_m=1e-5"), tmp_path / "out"
     done = coop("study", path, "--runs", "1", "--workers", "1", "--out", out)
-    said = "Lost or tripped too early for that, and counted from the start with its error: 1."
-    assert said in done.out
-    assert said in (out / "report.html").read_text()
-    assert json.loads((out / "study.json").read_text())["unsettled"] == 1
+    said = f"Lost or tripped: 1 of 1; {UNKNOWN}"
+    page, document = (out / "report.html").read_text(), json.loads((out / "study.json").read_text())
+    for text in (done.out, page):
+        assert said in text
+        assert f"≥ {document['internal_force_mean_N']['50']:.4g}" in text
+    assert (document["schema"], document["unsettled"], document["at_least"]) == (2, 1, ["50", "95", "100"])
 
 
 def spearman(x: Sequence[float], y: Sequence[float]) -> float:
@@ -654,12 +692,43 @@ def test_what_matters_is_found_by_rank() -> None:
     assert influences(c, results[:7]) == []
 
 
+def test_the_tolerance_that_decides_over_tripping_is_named_first() -> None:
+    """Runs with an arm that does not know where it stands trip before they move anything; the others' pads strain."""
+    c = cell("tolerance.base_m=0.04")
+    drawn = [errors_of(draw(c.file.tolerance, seed, c), c) for seed in range(24)]
+    results = [
+        a_result(i, tripped=True, tripped_s=-4.0, settled=False, internal_force_mean_N=0.01, peak_torque_fraction=0.01)
+        if errors["base_m_largest"] > 0.02
+        else a_result(i, internal_force_mean_N=errors["pads_N_per_m"])
+        for i, errors in enumerate(drawn)
+    ]
+    assert 12 < sum(r.tripped for r in results) < 24
+    found = influences(c, results)
+    assert (found[0].error, found[0].figure) == ("base_m_largest", "ended_early")
+    assert found[0].correlation > 0.5
+    of_figures = [i for i in found if i.figure != "ended_early"]
+    assert found == [i for i in found if i.figure == "ended_early"] + of_figures
+    assert of_figures[0].error == "base_m_largest"
+    assert all(i.correlation > 0.0 for i in of_figures if i.error == "base_m_largest")
+    rows = re.findall(r"<tr><td>(\w+)</td><td>(\w+)</td>", _influences(found, 24))
+    assert rows[0] == ("base_m_largest", "ended_early")
+    assert [figure for _, figure in rows].count("ended_early") == 4
+    assert len(rows) == 12
+    kept = [r for r in results if not r.tripped] * 3
+    assert all(i.figure != "ended_early" for i in influences(c, kept))
+    assert influences(c, [r for r in results if r.tripped]) == [], "of runs that all tripped nothing can be told"
+    assert "All runs are alike, or all were lost or tripped" in _influences([], 24)
+    assert "Too few runs" in _influences([], 7)
+
+
 def test_errors_are_measured_as_disagreement_and_distance_from_one() -> None:
     c = cell()
     real = draw(c.file.tolerance, 3, c)
     left, right = real.arms["left"], real.arms["right"]
     found = errors_of(real, c)
     assert found["base_m"] == pytest.approx(float(np.linalg.norm(np.subtract(left.base_m, right.base_m))))
+    assert found["base_m_largest"] == pytest.approx(max(math.hypot(*a.base_m) for a in (left, right)))
+    assert found["grasp_rad_largest"] == pytest.approx(max(math.hypot(*a.grasp_rad) for a in (left, right)))
     assert found["delay"] == pytest.approx((real.delay_s or 0.0) / c.file.simulated_delay_s)
     assert found["skew_s"] == pytest.approx(abs(left.skew_s - right.skew_s))
     assert found["zeros_rad"] == pytest.approx(float(np.linalg.norm([*left.zeros_rad, *right.zeros_rad])))
