@@ -21,7 +21,7 @@ from agent.calibrate.poses import Poses
 from agent.calibrate.propose import Proposal, propose
 from agent.calibrate.solve import Solution, disagreement, explained, rms, solve
 from agent.config.cell import Arm, Cell
-from agent.config.edit import Change, apply
+from agent.config.edit import Change, apply, lines_of, newline_of
 from agent.config.reality import reality_of
 from agent.config.schema.arm import LAST_TICK
 from agent.config.schema.reality import ArmReality, Reality
@@ -170,7 +170,8 @@ def cell_toml(result: Calibrated, source: str, arm_files: Sequence[str]) -> str:
     rest = remaining(result)
     if rest is None:
         return edited
-    return edited.rstrip("\n") + "\n\n" + tomli_w.dumps({"simulation": {"reality": rest.model_dump(exclude_none=True)}})
+    more = "\n\n" + tomli_w.dumps({"simulation": {"reality": rest.model_dump(exclude_none=True)}})
+    return edited.rstrip("\r\n") + more.replace("\n", newline_of(edited))
 
 
 def remaining(result: Calibrated) -> Reality | None:
@@ -220,13 +221,13 @@ def _changes(link: Link, x: Vector, file: str, source: str) -> Iterator[Change]:
 def _of_the_run_alone(text: str) -> str:
     """The text without what was of the run: [floating], and [simulation.reality], of which the rest follows anew."""
     kept, dropping = [], False
-    for line in text.splitlines():
+    for line in lines_of(text):
         if line.lstrip().startswith("["):
             header = line.lstrip().lstrip("[").lstrip()
             dropping = header.startswith(("simulation.reality", "floating]"))
         if not dropping:
             kept.append(line)
-    return "\n".join(kept) + "\n"
+    return "".join(kept)
 
 
 def _names(link: Link) -> Iterator[str]:

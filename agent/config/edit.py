@@ -1,4 +1,7 @@
-"""Changes single values in the text of a TOML file and keeps every other byte, comments too."""
+"""Changes single values in the text of a TOML file and keeps every other byte, comments and line ends too.
+
+Comments between the lines of a value are part of it and go with it; the one behind a value stays behind the new one.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from typing import Any
 from agent.config.tables import says, tables
 from drivers.interface import Refusal
 
+_LINE = re.compile(r"[^\n]*\n|[^\n]+")
 _HEADER = re.compile(r"\s*\[\[?\s*(?P<name>[A-Za-z0-9_.-]+)\s*\]?\]\s*(#.*)?$")
 
 
@@ -24,8 +28,18 @@ class Change:
 
     table: str  # "controller", or "arms" with a name; "" for what stands before the first header
     key: str
-    toml: str  # the value as it stands in the file
+    toml: str  # the value as it stands in the file; a comment behind it comes before the one that is there
     name: str | None = None
+
+
+def lines_of(text: str) -> list[str]:
+    """The lines with their ends, of which TOML knows two, \\n and \\r\\n: `str.splitlines` cuts within comments too."""
+    return _LINE.findall(text)
+
+
+def newline_of(text: str) -> str:
+    """The end of its first line, which added ones get too."""
+    return "\r\n" if text.partition("\n")[0].endswith("\r") else "\n"
 
 
 def apply(text: str, changes: Sequence[Change]) -> str:
@@ -34,13 +48,15 @@ def apply(text: str, changes: Sequence[Change]) -> str:
     A table within another ("controller.observer") that is not there yet comes behind that one.  Raises EditError where
     a table is written in another way (inline, dotted keys) than under a header of its own.
     """
-    lines = text.splitlines()
+    newline, is_ended = newline_of(text), text.endswith("\n")
+    lines = lines_of(text if is_ended else text + newline)
     for change in changes:
-        _make_room(lines, change)
+        _make_room(lines, change, newline)
         begin, end = _section(lines, change)
         at = _key(lines, change.key, begin, end)
-        lines[at[0] : at[1]] = [f"{change.key} = {change.toml}"]
-    edited = "\n".join(lines) + "\n"
+        before, behind = _around("".join(lines[slice(*at)]), change.key, newline)
+        lines[slice(*at)] = [f"{before}{change.toml}{behind}"]
+    edited = "".join(lines) if is_ended else "".join(lines).removesuffix(newline)
     wanted = tables(text)
     for change in changes:
         _table(wanted, change)[change.key] = tomllib.loads(f"value = {change.toml}")["value"]
@@ -53,13 +69,13 @@ def apply(text: str, changes: Sequence[Change]) -> str:
     return edited
 
 
-def _make_room(lines: list[str], change: Change) -> None:
+def _make_room(lines: list[str], change: Change, newline: str) -> None:
     """A header behind the table that this one is in, where it has none yet."""
     parent, dot, _ = change.table.rpartition(".")
     headers = [match["name"] for line in lines if (match := _HEADER.match(line))]
     if dot and change.table not in headers and parent in headers:
         at = _last(lines, *_section(lines, Change(parent, "", "")))
-        lines[at:at] = ["", f"[{change.table}]"]
+        lines[at:at] = [newline, f"[{change.table}]{newline}"]
 
 
 def _section(lines: Sequence[str], change: Change) -> tuple[int, int]:
@@ -86,10 +102,21 @@ def _key(lines: Sequence[str], key: str, begin: int, end: int) -> tuple[int, int
     for i in range(begin, end):
         if re.match(rf"\s*{re.escape(key)}\s*=", lines[i]):
             for stop in range(i + 1, end + 1):
-                if _complete("\n".join(lines[i:stop])):
+                if _complete("".join(lines[i:stop])):
                     return i, stop
     last = _last(lines, begin, end)
     return last, last
+
+
+def _around(text: str, key: str, newline: str) -> tuple[str, str]:
+    """What stands before and behind the value in these lines of one key; where there are none, what a new one gets."""
+    begins = re.match(rf"\s*{re.escape(key)}\s*=[ \t]*", text)
+    if begins is None:
+        return f"{key} = ", newline
+    line = text[text.rstrip("\r\n").rfind("\n") + 1 :]  # the value ends in the last one
+    signs = (match.start() for match in re.finditer("#", line))
+    comment = next((i for i in signs if _complete(text[: len(text) - len(line) + i])), len(line))  # outside of a string
+    return begins[0], line[len(line[:comment].rstrip()) :]
 
 
 def _last(lines: Sequence[str], begin: int, end: int) -> int:

@@ -18,7 +18,7 @@ from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml
 from agent.calibrate.run import calibrate, urdf_names, write
 from agent.calibrate.show import lines
-from agent.config.cell import Cell, load_cell
+from agent.config.cell import Cell, cell_from_toml, load_cell
 from agent.config.reality import reality_of
 from agent.config.schema.reality import ArmReality, Reality
 from agent.process.floating_cell import FloatOptions, floating_cell
@@ -302,6 +302,16 @@ def test_arms_that_floated_work_by_the_calibrated_cell() -> None:
     written = cell_toml(replace(result, cell=floated), "a log", ["left.toml", "right.toml"])
     assert "floating" not in written
     assert "# the gripper points down" in written
+
+
+def test_line_ends_of_the_cell_stay_and_its_comments_are_one_line_each() -> None:
+    result, real = in_error()
+    text, names = b"# once\xe2\x80\xa8[floating]\n" + real.toml, ["left.toml", "right.toml"]
+    cells = [cell_from_toml(each, "of a log") for each in (text, text.replace(b"\n", b"\r\n"))]
+    of_unix, of_dos = (cell_toml(replace(result, cell=cell), "a log", names) for cell in cells)
+    assert of_unix.startswith("# once\u2028[floating]\n")
+    assert "[simulation.reality" in of_unix
+    assert of_dos == of_unix.replace("\n", "\r\n")
 
 
 def test_comments_of_the_cell_stay_and_say_what_moved(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import configs
 from agent.atomic import WriteError, write_atomically
-from agent.config.edit import Change, EditError, apply
+from agent.config.edit import Change, EditError, apply, lines_of
 
 TEXT = """# a cell
 top = 1
@@ -63,6 +63,45 @@ def test_a_table_within_another_that_is_not_there_yet_comes_behind_it() -> None:
     edited = apply(TEXT, seen)
     assert edited == TEXT.replace("  2.0,\n]\n", "  2.0,\n]\n\n[controller.observer]\nslope = 2.0\ngain = 0.1\n")
     assert apply(edited, [Change("controller.observer", "gain", "0.3")]) == edited.replace("0.1", "0.3")
+
+
+@pytest.mark.parametrize(
+    ("line", "toml", "becomes"),
+    [
+        ("k = 1.0 # the paper's", "2.0", "k = 2.0 # the paper's"),
+        ("  k=1.0\t#", "2.0", "  k=2.0\t#"),
+        ("k = 1.0 ", "2.0", "k = 2.0 "),
+        ("k = 'a # b'  # c # d", '"e # f"', 'k = "e # f"  # c # d'),
+        ('k = """a # b""" # c', "2.0", "k = 2.0 # c"),
+        ("k = { a = '#', b = [1, 2] } # c", "{ a = 2 }", "k = { a = 2 } # c"),
+        ("k = [\n 1, # one\n 2 # two\n] # both", "[]", "k = [] # both"),
+        ('k = """\n# no comment\nj = 1\n# none""" # one', "2.0", "k = 2.0 # one"),
+        ("j = 1 # once\u2028k = 5\nk = 1.0", "2.0", "j = 1 # once\u2028k = 5\nk = 2.0"),
+        ("k = 1.0  # mounted askew", "2.0  # measured, was 1.0", "k = 2.0  # measured, was 1.0  # mounted askew"),
+        *((f"k = 1.0 # once{cut}k = 5", "2.0", f"k = 2.0 # once{cut}k = 5") for cut in "\x85\u2028\u2029"),
+    ],
+)
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@pytest.mark.parametrize("rest", ["", "\n", "\n# the end\n\n[b]\nk = 1\n", "\n\n\n[b]"])
+def test_all_but_the_value_stays_in_its_line(line: str, toml: str, becomes: str, newline: str, rest: str) -> None:
+    text = f"# a file\u2028k = 7\n\n[a]\n{line}{rest}".replace("\n", newline)
+    assert apply(text, [Change("a", "k", toml)]) == text.replace(
+        line.replace("\n", newline), becomes.replace("\n", newline)
+    )
+
+
+def test_what_is_added_ends_as_the_lines_of_the_file() -> None:
+    new = [Change("controller", "k_rate", "75.0"), Change("controller.observer", "gain", "0.1")]
+    assert apply(TEXT.replace("\n", "\r\n"), new) == apply(TEXT, new).replace("\n", "\r\n")
+    assert apply("[a]\r\nj = 1", [Change("a", "k", "2")]) == "[a]\r\nj = 1\r\nk = 2"
+    assert apply("[a]\r\nj = 1\nk = 1\n", [Change("a", "k", "2")]) == "[a]\r\nj = 1\nk = 2\n", "each has its own"
+    assert apply("", [Change("", "k", "2")]) == "k = 2\n"
+
+
+def test_a_line_ends_where_toml_says() -> None:
+    ends = ("a\n", "\n", "b # \x0b\x0c\x1c\x1d\x1e\x85\u2028\u2029c\r\n", "d\re\n", "f")
+    assert lines_of("".join(ends)) == list(ends)
+    assert lines_of("") == []
 
 
 @pytest.mark.parametrize("path", sorted(configs.ARMS_DIR.glob("*.toml")), ids=lambda path: path.stem)
