@@ -111,7 +111,7 @@ class Operator:
         if not (happened or released or watched or self._stopped or self._signals.stopped):
             return happened  # of nearly every cycle; what follows takes 5 µs
         self._hear_signals()
-        asked = Event.STOP in happened and not self._session
+        asked = Event.STOP in happened and (self._drops_on_stop or not self._session)
         self._stopped = self._stopped or asked or self._signals.stopped
         released = released or Event.RELEASED in happened
         happened &= ~Event.RELEASED

@@ -357,11 +357,16 @@ def test_in_a_session_the_clock_holds_the_next_carry_too(tmp_path: Path, monkeyp
         assert [text for _, text, _ in rig.told if "holds" in text] == [f"holds: {bound}"] * 3
 
 
-def test_a_simulated_session_is_over_with_a_stop(tmp_path: Path) -> None:
+@pytest.mark.parametrize("by", ["signal", "word"])
+def test_a_simulated_session_is_over_with_a_stop(tmp_path: Path, by: str) -> None:
+    """As the answer to the word says (`agent.operator.table.LETS_GO`)."""
     rig = Rig(tmp_path / "c", session=True, drops_on_stop=True)
     with closing(rig.control):
-        rig.signals.stopped, rig.signals.stops = True, 1
-        assert rig.hear() == rig.hear() == Event.STOP | Event.RELEASED
+        if by == "signal":
+            rig.signals.stopped, rig.signals.stops = True, 1
+        words = [Verb.STOP] if by == "word" else []
+        assert rig.hear(*words) == rig.hear() == Event.STOP | Event.RELEASED
+        assert rig.operator.is_pressed()
 
 
 def test_an_operator_is_pressed_until_a_cycle_has_heard_what_was_said(rig: Rig) -> None:
