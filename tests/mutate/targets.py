@@ -146,6 +146,10 @@ TARGETS = (
     Target("agent.config.schema.fault", (f"{UNIT}/config/test_fault.py",)),
     Target("agent.process.arranged", (f"{UNIT}/process/test_arranged.py",)),
     Target("agent.process.befallen", (f"{UNIT}/process/test_befallen.py",)),
+    Target(
+        "agent.process.operated",
+        (f"{UNIT}/process/test_operated.py", f"{UNIT}/process/test_arranged.py"),
+    ),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", _STEP),
     Target("agent.missed", _STEP),
@@ -253,6 +257,7 @@ TARGETS = (
     ),
     Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.hil.touch", (f"{UNIT}/hil/test_touch.py",)),
+    Target("sim_backend.physics.actuator", (f"{UNIT}/sim_backend/test_actuator.py",)),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.openings", _SOFT),

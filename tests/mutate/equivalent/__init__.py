@@ -8,10 +8,11 @@ from tests.mutate.equivalent.checks import CHECKS
 from tests.mutate.equivalent.control import CONTROL
 from tests.mutate.equivalent.driver import DRIVER
 from tests.mutate.equivalent.logs import LOGS
+from tests.mutate.equivalent.operator import OPERATOR
 from tests.mutate.equivalent.view import VIEW
 from tests.mutate.mutants import Mutant
 
-EQUIVALENT = {**CONTROL, **CHECKS, **LOGS, **DRIVER, **VIEW}
+EQUIVALENT = {**CONTROL, **CHECKS, **LOGS, **DRIVER, **OPERATOR, **VIEW}
 
 
 def why_equivalent(mutant: Mutant) -> str:

@@ -48,6 +48,7 @@ _ANGLE = "angle = 2.0 * np.arctan2(sine, np.abs(cosine)) * np.sign(cosine)"
 _JITTER = "return real.model_copy(update={'delay_jitter_s': min(jitter_s, real.delay_s or 0.0)})"
 _SENSE = "size, along = (np.abs(tau_rest), np.where(tau_rest >= 0.0, sign, -sign))"
 _BOUND = "return np.where(size + along * bound >= 0.0, bound, turned)"
+_SLOPE = "self._slope = np.where(np.isfinite(self._stall), self._stall, 0.0) / join('no_load_rad_s')"
 
 CHECKS: Entries = {
     "agent.calibrate.poses": {
@@ -146,6 +147,14 @@ CHECKS: Entries = {
         ("_internal", _ENDS, _ENDS.replace("[0", "[1")): "a column of zeros more adds nothing to any size",
         ("_linear", _LINEAR, _LINEAR.replace(">", ">=")): "a row is of length one or of none",
         ("", _PARTS, _PARTS.replace("6", "7")): "a wrench has six numbers",
+    },
+    "sim_backend.physics.actuator": {
+        (
+            "Servos.__init__",
+            _SLOPE,
+            _SLOPE.replace("0.0", "1.0"),
+        ): "what has no stall torque has no no-load speed either",
+        ("Servos.command", "if self._limited:", "if True:"): "nothing asks for the bounds of what has none",
     },
     "sim_backend.hil.touch": {
         ("Touch.__init__", "self._lasted_s = 0.0", "pass"): _A_TOUCH_SETS_IT,

@@ -98,6 +98,20 @@ def test_a_stop_is_latched_and_a_release_counts_once(rig: Rig) -> None:
     assert rig.hear() == Event.STOP
 
 
+def test_whose_words_are_heard_and_which_start_counts_is_asked(rig: Rig) -> None:
+    deaf = Operator(rig.signals, None, Clock(), rig._tell, drops_on_stop=False)
+    assert (deaf.is_deaf, rig.operator.is_deaf) == (True, False)
+    assert deaf.watched == "", "before a cycle too"
+    deaf.listen(rig.control)
+    assert not deaf.is_deaf
+    rig.control.requests.start = given = Request(Verb.START, "", OFFSET_NS + 7)
+    assert deaf.start is None
+    assert deaf.start_ns() == 7
+    assert deaf.start is given
+    rig.control.requests.words.append(Verb.RELEASE)
+    assert deaf.events() == Event.RELEASED
+
+
 SIGHUP = "SIGHUP: its terminal or connection is gone"
 
 
@@ -138,6 +152,23 @@ def test_an_arm_that_took_nothing_says_why_until_it_goes_on(tmp_path: Path) -> N
             assert rig.control.standing.reason == why
             rig.operator.mode(after)
             assert rig.control.standing.reason == ""
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [(Mode.REST, Mode.APPROACH), (Mode.HALT, Mode.APPROACH), (Mode.GRASP, Mode.READY)]
+)
+def test_an_arm_of_a_session_that_goes_on_has_no_reason_any_more(tmp_path: Path, before: Mode, after: Mode) -> None:
+    rig = Rig(tmp_path / "left.control", session=True)
+    with closing(rig.control):
+        rig.operator.mode(before)
+        rig.operator.trouble("grasp: the arm is still on its way; wait for it")
+        rig.operator.mode(after)
+        assert (rig.control.standing.mode, rig.control.standing.reason) == (after, "")
+
+
+def test_an_arm_that_tracks_has_no_reason(rig: Rig) -> None:
+    rig.operator.mode(Mode.TRACK)
+    assert rig.control.standing.reason == ""
 
 
 def test_signals_say_the_same(rig: Rig) -> None:
@@ -295,6 +326,34 @@ def test_a_release_behind_a_stop_is_refused_until_the_arm_holds(tmp_path: Path, 
         assert next_in_session(Mode.HOLD, said_in_one_cycle(rig, tmp_path / "c", Verb.RELEASE)) is Mode.RELEASE
 
 
+def test_a_release_that_comes_with_the_way_down_lets_go_and_nobody_is_told_that_it_is_lost(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "c", session=True)
+    rig.control.standing.mode = Mode.HOLD
+    with closing(rig.control):
+        happened = rig.hear(Verb.LOWER, Verb.RELEASE)
+        assert happened == Event.LOWER | Event.RELEASED
+        assert next_in_session(Mode.HOLD, happened) is Mode.RELEASE
+        assert not rig.told
+
+
+@pytest.mark.parametrize("session", [True, False])
+def test_a_signal_and_a_reason_of_the_host_in_one_cycle_are_a_stop(tmp_path: Path, session: bool) -> None:
+    rig = Rig(tmp_path / "c", session=session)
+    with closing(rig.control):
+        rig.operator.hold("the clock may be off by 5.1 ms")
+        rig.signals.stopped, rig.signals.stops = True, 1
+        assert rig.hear() == Event.STOP
+        assert not rig.operator.is_pressed()
+
+
+def test_an_arm_that_was_stopped_is_not_held_once_more_by_its_host(rig: Rig) -> None:
+    assert rig.hear(Verb.STOP) == Event.STOP
+    rig.operator.hold("the clock may be off by 5.1 ms")
+    assert rig.told == []
+    rig.operator.mode(Mode.HOLD)
+    assert rig.control.standing.reason == "it was asked to"
+
+
 @pytest.mark.parametrize("by", ["signal", "host", "guard"])
 def test_a_release_in_the_cycle_of_another_stop_is_said_to_be_lost(tmp_path: Path, by: str) -> None:
     rig = Rig(tmp_path / "c", session=True)
@@ -369,7 +428,7 @@ def test_a_simulated_session_is_over_with_a_stop(tmp_path: Path, by: str) -> Non
         assert rig.operator.is_pressed()
 
 
-def test_an_operator_is_pressed_until_a_cycle_has_heard_what_was_said(rig: Rig) -> None:
+def test_an_operator_is_pressed_until_a_cycle_has_heard_what_was_said(rig: Rig, tmp_path: Path) -> None:
     """By which a simulated arm ends its waiting for others; a holding one waits for them again afterwards."""
     pressed = rig.operator.is_pressed
     assert not pressed()
@@ -384,6 +443,10 @@ def test_an_operator_is_pressed_until_a_cycle_has_heard_what_was_said(rig: Rig) 
     assert pressed()
     rig.hear()
     assert not pressed()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as person:
+        person.connect(os.fspath(tmp_path / "left.control"))
+        person.send(Request(Verb.STOP, "ab" * 32).encode())
+        assert pressed(), "a word that has come is looked for, for no cycle may come that does"
 
 
 def test_the_process_of_a_simulated_arm_that_was_stopped_is_pressed_until_it_ends(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from hypothesis import strategies as st
 from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import DriverError
 from sim_backend.physics.actuator import (
-    NO_LSB,
     ActuatorError,
     ActuatorSpec,
     Grid,
@@ -119,7 +119,7 @@ def test_reported_motion_is_on_the_servos_grid(value: float) -> None:
     spec = ActuatorSpec.of(1, position_lsb_rad=TICK_RAD, velocity_lsb_rad_s=VELOCITY_UNIT_RAD_PER_S)
     servos = Servos([spec])
     said = servos.reported(row(value), row(value), row(value))[:, 0]
-    assert abs(said[2] - value) < NO_LSB  # which has no resolution
+    assert abs(said[2] - value) < 2.0**-899  # which has no resolution
     for reported, lsb in zip(said[:2], (TICK_RAD, VELOCITY_UNIT_RAD_PER_S), strict=True):
         assert abs(reported - value) <= lsb / 2 + 1e-12
         assert abs(reported / lsb - round(reported / lsb)) < 1e-6
@@ -127,6 +127,23 @@ def test_reported_motion_is_on_the_servos_grid(value: float) -> None:
 
 def test_grid_of_one_joint_leaves_the_others_exact() -> None:
     assert Grid(row(0.5, 0.0))(row(0.3, 0.3)).tolist() == [0.5, 0.3]
+
+
+def test_what_has_no_resolution_beside_what_has_is_exact_as_far_as_is_said() -> None:
+    """To 2⁻⁶⁰ beside a joint that has one, to 2⁻⁹⁰⁰ in a row without any."""
+    lsb, fine = np.array([[0.5, 0.0], [0.0, 0.0]]), 2.0**-60
+    values = np.array([[0.3, 1.6 * fine], [1.75 * 2.0**-600, -(2.0**-900)]])
+    assert Grid(lsb)(values).tolist() == [[0.5, 2.0 * fine], values[1].tolist()]
+
+
+@pytest.mark.parametrize("name", ["position_lsb_rad", "velocity_lsb_rad_s", "torque_lsb_Nm"])
+def test_a_value_lies_on_every_step_of_its_own_grid_and_on_no_other(name: str) -> None:
+    steps = np.arange(-3, 4)
+    servos = Servos([ActuatorSpec.of(7, **{name: 0.25})])
+    said = servos.reported(0.25 * steps + 0.1, 0.25 * steps + 0.1, 0.25 * steps + 0.1)
+    at = ("position_lsb_rad", "velocity_lsb_rad_s", "torque_lsb_Nm").index(name)
+    for i, row_of in enumerate(said):
+        assert row_of.tolist() == (0.25 * steps + (0.0 if i == at else 0.1)).tolist()
 
 
 def test_arms_side_by_side_keep_their_own_servos() -> None:
@@ -144,6 +161,43 @@ def test_seized_gear_changes_only_its_joints() -> None:
     assert servos.friction_coefficient(np.zeros(3)).tolist() == [0.0, 0.0, 50.0]
 
 
+@pytest.mark.parametrize(("coulomb", "viscous"), [(0.1, 0.0), (0.0, 0.1), (0.1, 0.1), (0.0, 0.0)])
+def test_either_friction_is_friction_and_a_gear_that_turns_freely_again_keeps_the_other(
+    coulomb: float, viscous: float
+) -> None:
+    servos = Servos([ActuatorSpec.of(1, coulomb_Nm=coulomb, viscous_Nms_rad=viscous)])
+    assert servos.has_friction is (coulomb + viscous > 0.0)
+    servos.set_viscous(slice(0, 1), 0.0)
+    assert servos.has_friction is (coulomb > 0.0)
+
+
+def test_a_scale_of_the_coulomb_torque_is_the_speed_at_which_71_percent_of_it_are_there() -> None:
+    servos = Servos([ActuatorSpec.of(1, coulomb_Nm=1.0)])
+    assert servos.friction_coefficient(row(0.01))[0] * 0.01 == pytest.approx(math.sqrt(0.5))
+
+
+def test_every_default_switches_its_effect_off() -> None:
+    spec = ActuatorSpec.of(2)
+    assert (spec.delay_s, spec.delay_jitter_s, spec.position_lsb_rad, spec.velocity_lsb_rad_s) == (0, 0, 0, 0)
+    for none in (spec.coulomb_Nm, spec.viscous_Nms_rad, spec.torque_lsb_Nm, spec.zero_error_rad, spec.backlash_rad):
+        assert none.tolist() == [0.0, 0.0]
+    for endless in (spec.tau_max_Nm, spec.stall_Nm, spec.no_load_rad_s):
+        assert endless.tolist() == [math.inf, math.inf]
+    assert spec.torque_scale.tolist() == [1.0, 1.0]
+
+
+def test_without_an_arm_there_are_no_servos_and_they_say_nothing() -> None:
+    servos, none = Servos([]), np.zeros(0)
+    servos.command(none)
+    assert servos.motor_torque(none).shape == (0,)
+    assert servos.reported(none, none, none).shape == (3, 0)
+
+
+def test_an_encoder_s_zero_may_be_off_to_either_side() -> None:
+    servos = Servos([ActuatorSpec.of(2, zero_error_rad=[-0.25, 0.5])])
+    assert servos.reported(row(1.0, 1.0), row(0.0, 0.0), row(0.0, 0.0))[0].tolist() == [0.75, 1.5]
+
+
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
@@ -154,14 +208,22 @@ def test_seized_gear_changes_only_its_joints() -> None:
         ({"no_load_rad_s": 6.0}, "stall_Nm.*finite stall torque"),
         ({"delay_s": -1e-3}, "delay_s.*no negative"),
         ({"delay_s": math.inf}, "delay_s.*a finite time"),
+        ({"delay_s": 1e-3, "delay_jitter_s": 2e-3}, "delay_jitter_s.*at most the delay"),
+        ({"backlash_rad": math.inf}, "backlash_rad.*finite angles"),
+        ({"zero_error_rad": math.inf}, "zero_error_rad.*finite angles"),
     ],
 )
 def test_impossible_servo_is_refused(effects: dict[str, float], message: str) -> None:
-    with pytest.raises(ActuatorError, match=message):
+    with pytest.raises(ActuatorError, match=message) as refused:
         ActuatorSpec.of(3, **effects)
+    assert refused.value.exit_code == 4
 
 
 def test_description_cannot_be_changed_afterwards() -> None:
     spec = ActuatorSpec.of(2, coulomb_Nm=0.1)
     with pytest.raises(ValueError, match="read-only"):
         spec.coulomb_Nm[0] = 0.0
+    own = row(0.2, 0.3)
+    changed = replace(spec, coulomb_Nm=own)
+    own[0] = 5.0  # its owner's, as before
+    assert changed.coulomb_Nm.tolist() == [0.2, 0.3]
