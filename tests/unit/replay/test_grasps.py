@@ -10,7 +10,7 @@ import pytest
 from agent.log.columns import Table
 from agent.log.read import ColumnLog, open_log
 from agent.modes import Mode
-from agent.replay.grasps import grasps
+from agent.replay.grasps import NO_POSE, grasps
 from agent.replay.source import ReplayError
 from agent.safety import Flag
 from tests.support.runner_rig import paper, run
@@ -77,6 +77,22 @@ def test_a_quaternion_of_zeros_is_no_attitude(whose: str) -> None:
     found = grasps(log_of(left, right, plant), paper())
     assert [arm.rows for arm in found.arms] == [arm.rows - 1 for arm in sound.arms]
     assert all(np.isfinite(arm.offset_rad) for arm in found.arms)
+
+
+@pytest.mark.parametrize(
+    ("field", "size", "counts"),
+    [
+        ("p_object", 0.9 * NO_POSE, True), ("p_object", -NO_POSE, False), ("p_object", 1.5 * NO_POSE, False),
+        ("quat_object", 0.11, True), ("quat_object", 0.1, False), ("quat_object", 0.09, False),
+        ("quat_object", 0.9 * NO_POSE, True), ("quat_object", NO_POSE, False), ("quat_object", -1.5e6, False),
+    ],
+)  # fmt: skip
+def test_what_is_too_far_away_or_too_small_is_of_a_damaged_row(field: str, size: float, counts: bool) -> None:
+    left, right = rows(40), rows(40)
+    left[field][20] = 0.0
+    left[field][20, 0] = size
+    assert [arm.rows for arm in grasps(log_of(left, right), paper()).arms] == [39 + counts] * 2
+    assert NO_POSE == 1e6
 
 
 PERIOD_NS = 5_000_000  # of the paper's cell
