@@ -12,6 +12,7 @@ from agent.log.when import STARTED_S
 from agent.modes import Mode
 from agent.report.arithmetic import NAN, mean, most, rms
 from agent.report.errors import complaints, disagreement, left_apart, pose_errors
+from agent.report.found_together import found_together
 from agent.report.grip import grip_results
 from agent.report.loss import loss_of
 from agent.report.pace import Pace, pace_notes
@@ -90,6 +91,7 @@ def summarise_prepared(run: Prepared) -> Results:
         phases=found,
         set_down_error_m=set_down[0],
         set_down_error_rad=set_down[1],
+        together=found_together(run),
         loss=loss_of(run),
     )
 

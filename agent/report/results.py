@@ -13,6 +13,7 @@ import numpy as np
 from agent.log.runinfo import Bounded, RunInfo
 from agent.report.arithmetic import NAN
 from agent.report.decay import AttitudeDecay, PositionDecay
+from agent.report.found_together import FoundTogether
 from agent.report.grip import GripResults
 from agent.report.loss import Loss, loss_keys
 from agent.report.pace import Pace
@@ -177,6 +178,7 @@ class Results:
     phases: tuple[Phase, ...] = ()  # of a session from rest to rest
     set_down_error_m: Metres = NAN  # between where the object stands after a session and where it stood before
     set_down_error_rad: Radians = NAN
+    together: FoundTogether | None = None  # None where alignment took nothing off
     loss: Loss | None = None  # of the object or a grasp; None: nothing tells the truth
 
     @property

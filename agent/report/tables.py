@@ -72,10 +72,10 @@ def lines(results: Results) -> list[Line]:
 
 
 def _disagreement(results: Results) -> str:
-    apart_m, left_m = results.arm_disagreement_m, results.arm_disagreement_left_m
-    parted = results.loss is not None and not results.loss.kept  # their shifts then say nothing of a common object
-    together = f", and have found together to {millimetres(left_m)}"
-    return millimetres(apart_m) + ("" if parted or math.isnan(apart_m + left_m) else together)
+    most, end = millimetres(results.arm_disagreement_m), results.together
+    if end is None or (results.loss and not results.loss.kept):  # their shifts then say nothing of a common object
+        return most
+    return f"{most}; at the end {millimetres(end.apart_m)}, and have found together to {millimetres(end.left_m)}"
 
 
 def _held(results: Results) -> list[tuple[str, float]]:

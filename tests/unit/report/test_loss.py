@@ -111,6 +111,8 @@ def test_arms_have_found_together_only_over_an_object_that_all_of_them_kept() ->
         log = small_run()
         for rows in log.agents.values():
             rows["shift"][:, 0] = 1e-3
+        log.agents["right"]["p_object"][:, 0] += 2e-3
+        log.agents["left"]["shift"][:, 0] = 0.0
         return log
 
     assert TOGETHER in said(shifted())
