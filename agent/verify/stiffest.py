@@ -31,8 +31,6 @@ STARTS: Final = 3  # further ones where the first finds nothing
 TRIES: Final = 500  # per start, and after cases have joined
 ROUNDS: Final = 5
 SHORT: Final = 150  # tries of the search for what binds
-TOLD: Final = 3  # that bind, at most
-HALVINGS: Final = 3  # of the part of what binds that can stay
 SPREAD: Final = 0.5  # of the further starts, natural logarithm
 STRIDE: Final = 7  # every so many soft cases are there from the beginning
 JOINING: Final = 4  # cases at most that join at a time
@@ -90,10 +88,6 @@ class Search:
         random = np.random.default_rng(0)
         found = climb(np.zeros(self._size), lambda _: 0.0, self._missed, range(SHORT), random)
         return self._wanted.radius * (1.0 + max(found.miss.excess, 0.0))
-
-    def here(self) -> float:
-        """The largest radius of all cases at the configured gains."""
-        return self._swept(np.zeros(self._size))[0].radius
 
     def _first(self) -> list[Case]:
         ranges, count = self._ranges, len(self._loop.gains)
@@ -157,74 +151,3 @@ def scaled(loop: Loop, scale: Scale) -> Loop:
 
 def _excess(miss: Miss) -> float:
     return miss.excess
-
-
-@dataclass(frozen=True)
-class Binding:
-    """A stated tolerance of which less would do, or that comes nearest to it."""
-
-    key: str
-    enough: Ranges | None  # with as much of it as gains are found with; None: not even with none of it
-
-
-def binding(
-    poses: Sequence[Pose], loop: Loop, ranges: Ranges, wanted: Wanted, inertia: str
-) -> tuple[list[Binding], float]:
-    """The stated tolerances that bind, each by itself: up to three, that of which the most can stay first; and the
-    smallest radius that a short search finds with one of them exact.  inertia: the key that states the arms' error.
-
-    Where no gains are found with less of one, those with which the radius is smallest: of the short search, or in all
-    cases at these gains where that one finds some with each.
-    """
-
-    def radius(key: str, part: float) -> float:
-        return Search(poses, loop, narrowed[key](part), wanted).nearest()
-
-    narrowed = {key if key != "inertia" else inertia: narrow for key, narrow in _narrowed(ranges).items()}
-    radii = {key: radius(key, 0.0) for key in narrowed}
-    least, bound = min(radii.values()), wanted.radius * (1.0 + KEEPS)
-    if least > bound:
-        return [Binding(key, None) for key, found in radii.items() if found <= least * (1.0 + KEEPS)], least
-    parts = {key: _most(key, lambda key, part: radius(key, part) <= bound) for key, r in radii.items() if r <= bound}
-    found: list[Binding] = []
-    for key in sorted(parts, key=lambda key: -parts[key]):
-        enough = narrowed[key](parts[key])
-        if len(found) < TOLD and Search(poses, loop, enough, wanted).run().kept:  # in all cases, not in the first alone
-            found.append(Binding(key, enough))
-    if found:
-        return found, least
-    radii = {key: Search(poses, loop, narrowed[key](0.0), wanted).here() for key in parts}
-    least = min(radii.values())
-    return [Binding(key, None) for key, radius in radii.items() if radius <= least * (1.0 + KEEPS)], least
-
-
-def _most(key: str, holds: Callable[[str, float], bool]) -> float:
-    """The largest of the parts looked at with which it holds; with none at all it is known to."""
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        part = 0.5 * (low + high)
-        low, high = (part, high) if holds(key, part) else (low, part)
-    return low
-
-
-def _narrowed(ranges: Ranges) -> dict[str, Callable[[float], Ranges]]:
-    """By key, the ranges with a part of what is stated there; 0: it is exact."""
-    shortest, believed, longest = ranges.delay_periods
-
-    def pads(ends: tuple[float, float], part: float) -> tuple[float, float]:
-        return ends[1] * (ends[0] / ends[1]) ** part, ends[1]
-
-    return {
-        "tolerance.delay": lambda part: replace(
-            ranges,
-            delay_periods=(believed - part * (believed - shortest), believed, believed + part * (longest - believed)),
-        ),
-        "inertia": lambda part: replace(ranges, inertia_error=part * ranges.inertia_error),
-        "tolerance.object": lambda part: replace(ranges, object_error=part * ranges.object_error),
-        "tolerance.friction": lambda part: replace(ranges, friction=1.0 - part * (1.0 - ranges.friction)),
-        "tolerance.pads_N_per_m": lambda part: replace(ranges, pads_N_per_m=pads(ranges.pads_N_per_m, part)),
-        "tolerance.pads_Nm_per_rad": lambda part: replace(ranges, pads_Nm_per_rad=pads(ranges.pads_Nm_per_rad, part)),
-        "tolerance.pads_damping_ratio": lambda part: replace(
-            ranges, pads_damping_ratio=1.0 - part * (1.0 - ranges.pads_damping_ratio)
-        ),
-    }

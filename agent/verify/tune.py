@@ -19,20 +19,21 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from agent.config import observer
-from agent.config.cell import Cell, cell_from_toml, placement
+from agent.config.cell import Cell, ConfigError, cell_from_toml
 from agent.config.edit import Change, apply
 from agent.config.schema.controller import ControllerKind
 from agent.control.errors import Gains
 from agent.control.estimator import Observer
-from agent.control.models import ArmModel
 from agent.verify.adaptive import examine_adaptation
+from agent.verify.along import instants, walk
+from agent.verify.binding import Binding, Stated, binding
 from agent.verify.chatter import Shaking
-from agent.verify.check import reach, start_configurations
 from agent.verify.criterion.cases import Loop
 from agent.verify.criterion.examine import STABLE, Criterion, examine
 from agent.verify.lowering import descend, k_v_factors
@@ -40,12 +41,11 @@ from agent.verify.margin import Damping, Place, damping, damping_at, places, sam
 from agent.verify.proposed import changed
 from agent.verify.robustness import Walk, loop_of, poses, ranges_of
 from agent.verify.scale import Scale, rounded_down
-from agent.verify.stiffest import Search, Wanted, binding, scaled
-from agent.verify.tune_refusal import NoGains, less, looked_at, too_late
-from agent.verify.usual_gains import PLANAR, SPATIAL
+from agent.verify.stiffest import Search, Wanted, scaled
+from agent.verify.tune_refusal import NoGains, less, looked_at, none_found, stating, too_late
+from agent.verify.usual_gains import usual_loop
 from drivers.interface import Vector
 
-PLACES: Final = 12  # along the trajectory
 POSE_MAX: Final = 2.0  # k_p and k_eps are not proposed above this, relative to the configured ones
 POSE_FLOORS: Final = (0.5, 0.1)  # nor below the first, unless no k_v keeps the margin with them, nor ever the second
 RATE_RANGE: Final = (0.05, 1.0)
@@ -123,7 +123,7 @@ class Tuner:
         """Raise ConfigError where a grasp cannot be reached along the trajectory."""
         self.cell = cell
         self._models = [cell.model(arm) for arm in cell.arms]
-        self._along = _walk(cell, self._models)
+        self._along = walk(cell, self._models)
         self._places: tuple[Place, ...] = places(cell, self._models, self._along)
         self._cases = [(true, place.believed) for place in self._places for true in place.true.values()]
         self._offline = [cell.offline(arm) for arm in cell.arms]
@@ -141,10 +141,8 @@ class Tuner:
     def propose(self, form: Form, margin: Margin) -> Proposal:
         """The largest gains of this form that keep the margin.  Raises NoGains."""
         if form is Form.REALITY:
-            stable = self.configured().criterion.radius < STABLE
-            own = loop_of(self.cell)
-            begin = own if stable else _usual(self.cell, own)
-            return self._proposal(form, self._stiffest(margin, begin), from_usual=not stable)
+            begin, usual = self._begin()
+            return self._proposal(form, self._stiffest(margin, begin), from_usual=usual)
         for floor, (linear, angular) in itertools.product(POSE_FLOORS, k_v_factors()):
             found = self._largest(form, margin, floor, Scale(k_v_linear=linear, k_v_angular=angular))
             if found is not None:
@@ -187,33 +185,43 @@ class Tuner:
         if proposed.file.controller.kind is not ControllerKind.ADAPTIVE:
             return
         spec = proposed.file.controller.adaptive
-        most = examine_adaptation(proposed, self._models, self._along, _instants(self.cell))
+        most = examine_adaptation(proposed, self._models, self._along, instants(self.cell))
         for key, value, limit in (
             ("gamma", spec.gamma, most.gamma_max), ("gamma_object", spec.gamma_object, most.gamma_object_max)
         ):  # fmt: skip
             if value > ELSEWHERE * limit:
                 yield Change("controller.adaptive", key, f"{rounded_down(ELSEWHERE * limit)!r}")
 
+    def _begin(self) -> tuple[Loop, bool]:
+        """Where the search of REALITY begins, and whether that is with usual gains."""
+        own, usual = loop_of(self.cell), self.configured().criterion.radius >= STABLE
+        return (usual_loop(self.cell, own) if usual else own), usual
+
+    def _wanted(self, margin: Margin, loop: Loop) -> Wanted:
+        L = self.cell.file.safety.noticing.rate_per_s
+        return Wanted(margin.worst, self._noise_against(loop), math.exp(-L * loop.period_s))
+
     def _stiffest(self, margin: Margin, loop: Loop) -> Loop:
         """By the criterion of `coop check`, no noisier than this loop.  Raises NoGains, naming what binds."""
         cell, stated = self.cell, ranges_of(self.cell)
-        ranges = looked_at(stated)
-        L = cell.file.safety.noticing.rate_per_s
-        wanted = Wanted(margin.worst, self._noise_against(loop), math.exp(-L * loop.period_s))
+        ranges, wanted, tried = looked_at(stated), self._wanted(margin, loop), partial(_tried, self.cell, margin)
         found = Search(self._poses, loop, ranges, wanted).run()
         if found.kept and ranges != stated:
-            raise too_late(cell, stated, ranges)
+            shorter = {"tolerance.delay": ranges}
+            raise too_late(cell, stated, ranges, less(cell, Binding(() if tried(shorter) else (shorter,))))
         if found.kept:
             return scaled(loop, found.scale)
         inertia = "tolerance.masses" if cell.tolerance.masses >= ranges.inertia_error else "safety.inertia_error"
-        binds, least = binding(self._poses, scaled(loop, found.scale), ranges, wanted, inertia)
-        raise NoGains(
-            f"gains for {cell.file.name} at {cell.file.rate_hz:g} Hz",
-            found=f"none; the nearest have a radius of {found.worst.radius:.4f} ({found.worst.case.demand.value}) "
-            f"and {found.noise:.2f} times the torque noise",
-            expected=f"at most {margin.worst:g} whatever of the stated tolerance is true, and no more noise",
-            remedy=less(cell, binds, least),
-        )
+        binds = binding(self._poses, scaled(loop, found.scale), ranges, wanted, inertia, tried)
+        raise none_found(cell, found, margin.worst, less(cell, binds))
+
+    def missed(self, margin: Margin) -> float:
+        """Radius that the search of REALITY comes to where it finds nothing; 0 where it finds some, inf without one."""
+        ranges, (begin, _) = ranges_of(self.cell), self._begin()
+        if looked_at(ranges) != ranges:
+            return math.inf
+        found = Search(self._poses, begin, ranges, self._wanted(margin, begin)).run()
+        return 0.0 if found.kept else found.worst.radius
 
     def _shaken(self, arm: int, q: Vector) -> Shaking:
         viscous = np.array([servo.viscous_Nm_s_per_rad.value for servo in self.cell.arms[arm].servos])
@@ -267,27 +275,9 @@ class Tuner:
         return GainSet(cell, rigid, self._torque_noise(loop), found)
 
 
-def _usual(cell: Cell, own: Loop) -> Loop:
-    """The loop with gains of the cells that ship."""
-    usual = PLANAR if cell.planar else SPATIAL
-    return replace(own, gains=tuple(usual.law for _ in own.gains), observer=usual.of_observer(own.observer))
-
-
-def _walk(cell: Cell, models: Sequence[ArmModel]) -> list[list[Vector]]:
-    """Joint angles of all arms at some places of the trajectory."""
-    motion = cell.trajectory()
-    q = list(start_configurations(cell, models))
-    along = []
-    for t in _instants(cell):
-        desired = motion.at(t)
-        T = placement(desired.p, desired.quat)
-        q = [reach(a, m, T, q_i, f"at t = {t:.2f} s") for a, m, q_i in zip(cell.arms, models, q, strict=True)]
-        along.append(q)
-    return along
-
-
-def _instants(cell: Cell) -> list[float]:
-    """Of those places, s."""
-    end_s = min(cell.trajectory().period_s, cell.file.duration_s)
-    times: list[float] = np.linspace(0.0, end_s, 4 * PLACES)[::4].tolist()
-    return times
+def _tried(cell: Cell, margin: Margin, stated: Stated) -> float:
+    """What `coop tune` comes to with the cell that states this: Tuner.missed."""
+    try:
+        return Tuner(stating(cell, stated)).missed(margin)
+    except ConfigError:  # it may not be stated
+        return math.inf

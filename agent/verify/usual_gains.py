@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
+from agent.config.cell import Cell
 from agent.control.errors import Gains
 from agent.control.estimator import Observer
+from agent.verify.criterion.cases import Loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,3 +47,9 @@ class UsualGains:
 
 PLANAR: Final = UsualGains(70.0, 140.0, 62.0, 190.0, 3.6, 0.47, 0.22)
 SPATIAL: Final = UsualGains(60.0, 130.0, 50.0, 150.0, 4.2, 0.23, 0.24)
+
+
+def usual_loop(cell: Cell, own: Loop) -> Loop:
+    """The loop with gains of the cells that ship."""
+    usual = PLANAR if cell.planar else SPATIAL
+    return replace(own, gains=tuple(usual.law for _ in own.gains), observer=usual.of_observer(own.observer))

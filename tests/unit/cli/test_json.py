@@ -17,7 +17,7 @@ from agent.log.read import RunLog
 from agent.process.run import RunOutcome
 from agent.report.compare import Change
 from agent.report.metrics import summarise
-from agent.verify import tune
+from agent.verify import along
 from tests.support.command import Done, coop
 from tests.support.pages import told
 from tests.support.telemetry.synthetic_run import paper_run
@@ -127,7 +127,7 @@ GAINS: dict[str, Any] = {
 
 
 def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tune, "PLACES", 3)  # of the motion
+    monkeypatch.setattr(along, "PLACES", 3)  # of the motion
     written = tmp_path / "new.toml"
     done = coop("tune", PAPER, "--form", "rate", "--radius", "0.99", "--write", written, "--json")
     assert done.code == 0, done.err

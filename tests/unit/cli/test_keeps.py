@@ -27,7 +27,7 @@ from agent.process.folder import LOG_NAME, RunError, output_folder, words_folder
 from agent.report.names import picture_files
 from agent.report.page import figure_html
 from agent.report.picture import Picture
-from agent.verify import tune
+from agent.verify import along
 from tests.support.command import coop
 from tests.support.drawn_once import drawn_once
 from tests.support.few import few
@@ -51,7 +51,7 @@ def write_mine(path: Path) -> Path:
 
 
 def test_tune_keeps_the_file_it_is_told_to_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tune, "PLACES", 3)  # of the motion
+    monkeypatch.setattr(along, "PLACES", 3)  # of the motion
     path = write_mine(tmp_path / "new.toml")
     done = coop("tune", PAPER, "--form", "rate", "--write", path)
     assert done.code == 2
