@@ -498,6 +498,13 @@ def test_who_goes_on_takes_the_goals_that_the_servos_hold_and_says_what_they_ask
     assert [(record.sent, record.sent_before) for record in running._records] == [(count, count) for count in held]
 
 
+def test_who_goes_on_looks_at_the_supply_before_the_round(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[bool] = []
+    monkeypatch.setattr(bench.running.monitor, "look_at_supply", lambda: looked.append(True))
+    bench.running.resume({}, [0.0] * 4)
+    assert looked == [True]
+
+
 @pytest.mark.parametrize("awaited", [True, False])
 def test_a_second_write_in_one_cycle_looks_for_the_answer_first(bench: Bench, awaited: bool) -> None:
     running = bench.alone()
