@@ -337,4 +337,4 @@ def test_a_limp_arm_is_told_no_torque_from_its_cycle_on_whatever_its_agent_says(
                 assert np.array_equal(arm.write(TAU), TAU)
     acts = [bool(tau[3:].any()) for tau in applied[:7]]
     assert acts == [delay <= tick < 3 + delay for tick in range(7)]
-    assert all(tau[:3].any() for tau in applied[delay:])
+    assert all(tau[:3].any() for tau in applied[delay:8])
