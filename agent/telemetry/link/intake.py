@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 
 from agent.telemetry.link.stream import Stream
 from agent.telemetry.link.wire import BatchHeader, End, seal_of
+from agent.telemetry.ring.texts import TEXT_SLOTS
 from agent.telemetry.row.event import UTC_END_NS, Event, ImpossibleTimeError, health_time
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
 from agent.telemetry.row.topics import PLANT, PUBLISHED, Address, Kind
 
 TEXTS_MAX: Final = 100_000  # per stream and log: a flood of texts ends there, with a count
-TOLD_MAX: Final = 10_000  # events of an arm that are known again: as many as its telemetry keeps, and its ring has rows
+TOLD_MAX: Final = {  # texts of an arm that are known again: as many as its telemetry makes of its ring, or finds there
+    Kind.EVENT: 10_000,
+    Kind.HEALTH: TEXT_SLOTS,
+}
 _DIGEST_BYTES: Final = 16
 
 
@@ -171,7 +175,7 @@ class Intake:
             stream.duplicates += 1
             return []
         told[digest] = None
-        if len(told) > TOLD_MAX:
+        if len(told) > TOLD_MAX[stream.address.kind]:
             del told[next(iter(told))]
         return [Text(stream.address, payload, utc_ns, event)]
 

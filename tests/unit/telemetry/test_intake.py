@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.log.read import read_log
-from agent.telemetry.link.intake import Intake, Rejection
+from agent.telemetry.link.intake import TOLD_MAX, Intake, Rejection
+from agent.telemetry.link.source import HEALTH_KEPT, TEXTS_KEPT
 from agent.telemetry.link.stream import SILENT_S
 from agent.telemetry.link.wire import (
     BatchHeader,
@@ -23,6 +24,7 @@ from agent.telemetry.link.wire import (
     seal_of,
     unpack_status,
 )
+from agent.telemetry.ring.texts import TEXT_SLOTS
 from agent.telemetry.row.event import UTC_END_NS, Event, Level, encode
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.topics import PLANT, Address, Kind
@@ -456,14 +458,23 @@ def test_a_long_run_with_losses_keeps_its_books_bounded() -> None:
     assert len(stream.status.have) <= 16
 
 
-def test_of_very_many_events_the_newest_are_known_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory of the recorder stays flat over hours of events."""
-    monkeypatch.setattr("agent.telemetry.link.intake.TOLD_MAX", 50)
-    door, key = intake(), Address(CELL, "left", Kind.EVENT).key
-    texts = [Event(n, "left", Level.INFO, "mode").to_json() for n in range(200)]
+@pytest.mark.parametrize("kind", [Kind.EVENT, Kind.HEALTH])
+def test_of_very_many_texts_the_newest_are_known_again(monkeypatch: pytest.MonkeyPatch, kind: Kind) -> None:
+    """Memory of the recorder stays flat over hours of them."""
+    monkeypatch.setitem(TOLD_MAX, kind, 50)
+    door, key = intake(), Address(CELL, "left", kind).key
+    texts = [
+        Event(n, "left", Level.INFO, "mode").to_json() if kind is Kind.EVENT else encode({"utc_ns": n, **SERVOS})
+        for n in range(200)
+    ]
     for n, text in enumerate(texts):
         assert door.take(key, text, header(n, 200, source=5))
     assert [len(door.take(key, texts[n], header(n, 200, source=6))) for n in (199, 150, 149)] == [0, 0, 1]
+
+
+def test_as_many_texts_are_known_again_as_a_telemetry_process_that_is_started_again_tells() -> None:
+    assert TOLD_MAX[Kind.EVENT] == TEXTS_KEPT
+    assert TOLD_MAX[Kind.HEALTH] == TEXT_SLOTS > HEALTH_KEPT
 
 
 @given(
