@@ -44,7 +44,7 @@ def driver_of(cell: CellFiles, arm: str, asked: DriverKind | None) -> DriverKind
     return kind
 
 
-def require_port_of(kind: DriverKind, arm: str, port: str | None) -> None:
+def refuse_port_of_simulated(kind: DriverKind, arm: str, port: str | None) -> None:
     """Refuse a port for an arm that is simulated, which would open none.  Raises ConfigError."""
     if port is not None and kind is DriverKind.SIM:
         raise ConfigError(

@@ -73,9 +73,9 @@ def agent(command: AgentCommand, listener: Listener) -> int:
         driver_of,
         holds,
         in_the_loop,
+        refuse_port_of_simulated,
         require_empty_gripper,
         require_one_host,
-        require_port_of,
         require_wall_clock,
         taken,
     )
@@ -83,7 +83,7 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     requested = begin(command.with_parent)
     loaded, arm, emulated = load_cell(command.cell), command.arm, command.emulated
     kind = driver_of(loaded, arm, command.driver)
-    require_port_of(kind, arm, command.port)
+    refuse_port_of_simulated(kind, arm, command.port)
     name = loaded.file.name
     if not emulated:
         require_one_host(loaded)
@@ -151,12 +151,12 @@ def guard(command: GuardCommand, listener: Listener) -> int:
     from agent.config.cell import load_cell
     from agent.host.paths import control_path, guard_path, make_runtime_dir
     from agent.process.guard import run_guard
-    from agent.process.rehearse import driver_of, holds, require_port_of
+    from agent.process.rehearse import driver_of, holds, refuse_port_of_simulated
 
     requested = begin(command.with_parent)
     loaded, arm = load_cell(command.cell), command.arm
     kind = driver_of(loaded, arm, command.driver)
-    require_port_of(kind, arm, command.port)
+    refuse_port_of_simulated(kind, arm, command.port)
     name = loaded.file.name
     if command.socket is None or command.control is None:
         make_runtime_dir(name)
@@ -172,7 +172,9 @@ def guard(command: GuardCommand, listener: Listener) -> int:
     make_folder(command.post_mortem)  # while nothing is held yet
     summary = run_guard(loaded, options, requested, ready)
     if summary is not None:
-        listener.say(f"arm {arm}: held for {summary.ticks} cycles, mode {summary.mode.name} {summary.reason}")
+        listener.say(
+            f"arm {arm}: held; {summary.ticks} cycles with its agent's, mode {summary.mode.name} {summary.reason}"
+        )
     return 0
 
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.telemetry.link.source import TEXTS_KEPT
 from agent.telemetry.link.stream import Stream
 from agent.telemetry.link.wire import BatchHeader, End, seal_of
 from agent.telemetry.ring.texts import TEXT_SLOTS
@@ -24,7 +25,7 @@ from agent.telemetry.row.topics import PLANT, PUBLISHED, Address, Kind
 
 TEXTS_MAX: Final = 100_000  # per stream and log: a flood of texts ends there, with a count
 TOLD_MAX: Final = {  # texts of an arm that are known again: as many as its telemetry makes of its ring, or finds there
-    Kind.EVENT: 10_000,
+    Kind.EVENT: TEXTS_KEPT,
     Kind.HEALTH: TEXT_SLOTS,
 }
 _DIGEST_BYTES: Final = 16
