@@ -46,7 +46,7 @@ def found_together(run: Prepared) -> FoundTogether | None:
         shifts = [column(rows, "shift", slice(0, 3))[at] for rows, at in ((a, here), (b, there))]
         apart_m.append(_size(seen.mean(axis=0)))
         left_m.append(_size((seen - shifts[0] + shifts[1]).mean(axis=0)))
-        scatter_m.append(_size((seen - seen.mean(axis=0)).std(axis=0)))
+        scatter_m.append(_size(seen.std(axis=0)))
     together = FoundTogether(max(apart_m), max(left_m))
     return together if together.apart_m - together.left_m > max(scatter_m) else None
 

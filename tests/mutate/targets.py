@@ -191,6 +191,7 @@ TARGETS = (
     Target("agent.replay.rows", _VERIFY, warm=_RECORDED),
     Target("agent.replay.same", (f"{UNIT}/replay/test_same.py", f"{UNIT}/replay/test_answers.py")),
     Target("agent.replay.verify", _VERIFY, warm=_RECORDED),
+    Target("agent.report.found_together", (f"{UNIT}/report/test_found_together.py",)),
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.heir", _RING),
     Target("agent.telemetry.ring.reader", _RING),

@@ -1,4 +1,4 @@
-"""Of the ring, its files and texts, and of the replay of logs."""
+"""Of the ring, its files and texts, and of the replay and the report of logs."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ _TIMES = (
 )
 
 _ALIGNED = "aligned = [quat * np.sign(np.sum(quat * first, axis=1, keepdims=True)) for _, quat in poses.values()]"
+_BETWEEN = "return rows[(rows['t'] > begin_s) & (rows['t'] < end_s)]"
 _SIZE = "return ring_file.make_header(row_format, slots=slots, name='', joints=(), created_ns=0).file_bytes"
 
 _HEIR_SLOT = "head = _SLOT_HEAD.pack(index + 1, zlib.crc32(row, index & 4294967295))"
@@ -102,6 +103,20 @@ LOGS: Entries = {
     "agent.telemetry.ring.texts": {
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
+    },
+    "agent.report.found_together": {
+        (
+            "found_together",
+            "end_s = min(tracked, default=-math.inf)",
+            "end_s = min(tracked, default=math.inf)",
+        ): "a run without arms has no pair of them",
+        (
+            "found_together",
+            "if not begin_s >= run.info.transient_s - half_s:",
+            "if not begin_s > run.info.transient_s - half_s:",
+        ): "no tick is half a period beside one",
+        ("_between", _BETWEEN, _BETWEEN.replace("> begin_s", ">= begin_s")): "no tick is half a period beside one",
+        ("_between", _BETWEEN, _BETWEEN.replace("< end_s", "<= end_s")): "no tick is half a period beside one",
     },
     "agent.replay.chain": {
         ("Chain.pass_row", "if marks:", "if True:"): "saves a call: joining no flag changes nothing",

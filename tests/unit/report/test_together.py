@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,15 +18,13 @@ from agent.control.knock import Struck
 from agent.control.memory import initial
 from agent.control.residual import nothing_sensed
 from agent.log.read import RunLog
-from agent.modes import Mode
 from agent.report import figures, figures_more, figures_together
-from agent.report.found_together import FoundTogether, found_together
 from agent.report.gallery import pictures
 from agent.report.labels import LINE_IN, end_labels, mark_moments, room_in
 from agent.report.metrics import summarise
 from agent.report.plotting import DASHES, PANEL_IN, line, panels, save_png, time_axis
 from agent.report.prepared import prepare
-from agent.report.tables import lines, tables
+from agent.report.tables import tables
 from agent.report.together import Thresholds, thresholds
 from agent.telemetry.row.event import Event, Level
 from tests.support.telemetry.synthetic_run import paper_run
@@ -117,75 +113,6 @@ def test_what_an_arm_learns_of_its_friction_is_drawn_and_told() -> None:
     assert before["right"].friction_factor == 1.0
     (noticed,) = (table for table in tables(results) if table.title.startswith("Largest of what each arm noticed"))
     assert [row[noticed.header.index("friction, of its file's")] for row in noticed.rows] == ["1.00", "1.31"]
-
-
-def test_what_the_shifts_leave_of_a_disagreement_is_said_beside_it() -> None:
-    log = view_log()
-    assert math.isnan(summarise(log).arm_disagreement_left_m), "nobody has shifted"
-    apart, shift = log.agents["right"]["p_object"], log.agents["right"]["shift"]
-    apart[:, 1] += 2e-3
-    shift[:, 1] = np.linspace(0.0, 1.5e-3, len(shift))
-    log.agents["left"]["shift"][:, 2] = 1.2e-3
-    found = summarise(log)
-    assert found.arm_disagreement_left_m == pytest.approx(math.hypot(0.5e-3, 1.2e-3))
-    assert found.to_json()["arm_disagreement_left_m"] == found.arm_disagreement_left_m
-    settled(log)
-    assert disagreement_line(log) == "2.00\xa0mm; at the end 2.00\xa0mm, and have found together to 1.33\xa0mm"
-
-
-def settled(log: RunLog) -> None:
-    """Its transient is over after half a second."""
-    run = json.loads(log.attachments["run.json"])
-    log.attachments["run.json"] = json.dumps(run | {"transient_s": 0.5}).encode()
-
-
-def disagreement_line(log: RunLog) -> str:
-    return {line.what: line.figure for line in lines(summarise(log))}["arms disagree on the object by"]
-
-
-def aligned(apart_m: float, shift_m: float, steps_m: float) -> RunLog:
-    """A run of two arms that see the object apart, and readings that step to and fro by so much."""
-    log = view_log()
-    settled(log)
-    right = log.agents["right"]
-    right["p_object"][:, 1] += apart_m + steps_m * (-1.0) ** np.arange(len(right))
-    right["shift"][:, 1] = shift_m
-    return log
-
-
-def test_arms_without_an_error_have_not_found_together_whatever_the_last_tick_says() -> None:
-    """Encoder steps of 0.2 mm and a shift of 0.08 mm: the very last tick would say 0.364 mm to 0.08 or so."""
-    log = aligned(1e-4, 8e-5, 2e-4)
-    assert summarise(log).arm_disagreement_left_m == pytest.approx(abs(1e-4 - 2e-4 - 8e-5))
-    assert disagreement_line(log) == "0.300\xa0mm"
-    assert disagreement_line(aligned(5e-3, 4.6e-3, 2e-4)).endswith(
-        "; at the end 5.00\xa0mm, and have found together to 0.400\xa0mm"
-    )
-    assert disagreement_line(aligned(5e-3, -1e-3, 2e-4)) == "5.20\xa0mm", "a shift that makes it worse"
-
-
-@pytest.mark.parametrize("how", [Mode.HOLD, Mode.FAULT, "struck"])
-def test_what_alignment_took_off_is_of_the_time_before_an_arm_holds_fails_or_is_struck(how: Mode | str) -> None:
-    log = aligned(5e-3, 4.6e-3, 0.0)
-    late = slice(300, None)  # of 400 ticks
-    log.agents["right"]["p_object"][late, 1] += 0.05
-    if isinstance(how, Mode):
-        log.agents["left"]["mode"][late] = how
-    else:
-        run = prepare(log)
-        run = replace(run, info=replace(run.info, struck_s={"left": float(log.agents["left"]["t"][300])}))
-        assert found_together(run) == FoundTogether(pytest.approx(5e-3), pytest.approx(4e-4))
-        return
-    assert disagreement_line(log).endswith("; at the end 5.00\xa0mm, and have found together to 0.400\xa0mm")
-
-
-def test_nothing_is_said_of_arms_that_held_before_the_transient_was_over_or_never_tracked() -> None:
-    log = aligned(5e-3, 4.6e-3, 0.0)
-    first = round(200 * (prepare(log).info.transient_s + 0.1))
-    log.agents["left"]["mode"][first:] = Mode.HOLD
-    assert found_together(prepare(log)) is None
-    log.agents["left"]["mode"][:] = Mode.HOLD
-    assert found_together(prepare(log)) is None
 
 
 def test_thresholds_are_the_cells_and_none_without_a_table() -> None:
