@@ -15,7 +15,7 @@ from agent import floats, phases
 from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, felt, kept, slowed
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
-from agent.control.alignment import Alignment, shifted
+from agent.control.alignment import NO_SHIFT, Alignment, Shift, shifted
 from agent.control.brace import NOT_BRACED, Brace, braced_with
 from agent.control.errors import Errors, attitude_angle
 from agent.control.estimator import Observer
@@ -138,19 +138,21 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     limited = np.array(tau)
     if int(flags) & _NOT_FINITE:  # the memory keeps finite numbers only
         return Outcome(q, dq, terms, limited, flags, memory._replace(tau=limited, primed=False))
-    sense, sensed, shift = memory.sense, None, memory.shift
+    sense, sensed, shift, settled = memory.sense, None, memory.shift, memory.settled
     if agent.residual is not None:
         since = periods(agent.period_s, t, memory) if mode is _TRACK else 1  # before the start, t jumps to it
         sense, sensed, unexpected = _sense(agent.residual, mode, memory, terms, dq, since)
         if unexpected:
             flags |= Flag.UNEXPECTED
     if agent.alignment is not None and memory.primed and mode in _ALIGNING:
-        shift = agent.alignment.advance(shift, terms.errors, agent.period_s, ready=mode is _READY)
+        shift = agent.alignment.advance(shift, settled, terms.errors, agent.period_s, ready=mode is _READY)
     factor = memory.friction_factor
     if agent.friction_factor is not None and mode is _TRACK and sensed is not None:
         factor = agent.friction_factor.advance(factor, sense.residual, terms.tau_friction, dq, agent.period_s)
     if session is not None and mode is _TRACK:
         shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
+    if mode in _ALIGNING:
+        settled = shift if mode is _READY else _settled(agent, memory.settled, shift, t)
     braced = NOT_BRACED
     if agent.brace is not None and mode is _HOLD and calm == LAW and terms.J_inv_P is not None:
         braced = agent.brace.advance(memory.braced, terms.errors.e_p)
@@ -159,9 +161,19 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     carried = Memory(
         q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
         memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,
-        memory.missed if mode is _HOLD else 0, braced, factor,
+        memory.missed if mode is _HOLD else 0, braced, factor, settled,
     )  # fmt: skip
     return Outcome(q, dq, terms, limited, flags, carried, sensed)
+
+
+def _settled(agent: Agent, settled: Shift, shift: Shift, t: float) -> Shift:
+    """What the shift goes back to during the motion; nothing while a session takes away that of the start."""
+    if agent.alignment is None:
+        return settled
+    if agent.session is None:
+        return agent.alignment.settle(settled, shift, t)
+    since_s = t - agent.session.start_blend_s
+    return NO_SHIFT if since_s < 0.0 else agent.alignment.settle(settled, shift, since_s)
 
 
 def _without(agent: Agent, mode: Mode, q: Vector, dq: Vector, flag: Flag, memory: Memory) -> Outcome:

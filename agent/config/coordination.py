@@ -24,6 +24,7 @@ def alignment(cell: Cell, arm: Arm) -> Alignment | None:
         follows=arm.name != cell.arms[cell.anchor].name,
         ready_per_s=spec.ready_per_s,
         track_per_s=spec.track_per_s,
+        return_per_s=spec.return_per_s,
         dead_zone_m=spec.dead_zone_m,
         dead_zone_rad=spec.dead_zone_rad,
         max_m=spec.max_m,

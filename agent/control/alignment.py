@@ -4,10 +4,13 @@ Calibration errors make every arm see the object elsewhere.  Each follows the co
 the start is what it sees beside the pose that the cell states; all but one, the anchor, go on shifting towards what
 they see, slowly and beyond a dead zone only, so that a lasting disagreement ends as an offset and not as a force:
 
-    ḋ = α dz(e_p, d_0),   ρ̇ = α dz(−2 e_η e_ε, ρ_0),   |d| ≤ d_max, |ρ| ≤ ρ_max
+    ḋ = α dz(e_p, d_0) − β (d − d_s),   ρ̇ = α dz(−2 e_η e_ε, ρ_0) − β (ρ − ρ_s),   |d| ≤ d_max, |ρ| ≤ ρ_max
 
-with the errors (`eq:quat_error`) to the shifted pose; a shift beyond them at the start does not grow.  The shift is a
-part of `Memory`, and frozen while an arm holds.
+with the errors (`eq:quat_error`) to the shifted pose; a shift beyond them at the start does not grow.  During the
+motion it goes back (β) to what the start left, (d_s, ρ_s), or, where arms had no time before the start or a session has
+taken their shifts away, to what they have found after a while.  An arm that all others have left would otherwise follow
+its own lag, and the object would go on and on: its error does not become less by its shift, as that of arms does that
+disagree.  The shift is a part of `Memory`, and frozen while an arm holds.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from agent.control.trajectory import Desired
 
 Shift = tuple[float, float, float, float, float, float]  # d (m) and ρ (rad, rotation vector), world axes
 NO_SHIFT: Shift = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+FOUND = 4.0  # time constants after which arms have found together
 _SMALL_ANGLE = 1e-9
 
 
@@ -31,13 +35,17 @@ class Alignment:
     follows: bool  # False: the anchor, whose shift stays what it was at the start
     ready_per_s: float = 2.0  # α while READY
     track_per_s: float = 0.3  # α while TRACK
+    return_per_s: float = 0.3  # β while TRACK
     dead_zone_m: float = 1.5e-3
     dead_zone_rad: float = 8e-3
     max_m: float = 0.02
     max_rad: float = 0.1
 
-    def advance(self, shift: Shift, errors: Errors, dt: float, *, ready: bool) -> Shift:
-        """The shift after dt seconds at this error; ready: before the start, when there is time to find together."""
+    def advance(self, shift: Shift, settled: Shift, errors: Errors, dt: float, *, ready: bool) -> Shift:
+        """The shift after dt seconds at this error; ready: before the start, when there is time to find together.
+
+        settled: what the start left of it, to which it goes back during the motion; NO_SHIFT: to nothing yet.
+        """
         if not self.follows:
             return shift
         gain = dt * (self.ready_per_s if ready else self.track_per_s)
@@ -45,7 +53,15 @@ class Alignment:
         turned = (k * e_eps[0], k * e_eps[1], k * e_eps[2])
         d = _towards(shift[:3], errors.e_p, gain, self.dead_zone_m, self.max_m)
         rho = _towards(shift[3:], turned, gain, self.dead_zone_rad, self.max_rad)
-        return (*d, *rho)
+        if ready or settled == NO_SHIFT:
+            return (*d, *rho)
+        return _back((*d, *rho), shift, settled, dt * self.return_per_s)
+
+    def settle(self, settled: Shift, shift: Shift, since_s: float) -> Shift:
+        """What the shift goes back to from then on, since_s into the motion without anybody taking shifts away."""
+        if settled == NO_SHIFT and since_s * self.track_per_s >= FOUND:
+            return shift
+        return settled
 
 
 def shifted(desired: Desired, shift: Shift) -> Desired:
@@ -78,6 +94,14 @@ def _towards(now: Vec3, error: Vec3, gain: float, dead_zone: float, bound: float
     if length <= bound:
         return moved
     return (moved[0] * bound / length, moved[1] * bound / length, moved[2] * bound / length)
+
+
+def _back(moved: Shift, a: Shift, b: Shift, part: float) -> Shift:
+    m = moved
+    return (
+        m[0] - part * (a[0] - b[0]), m[1] - part * (a[1] - b[1]), m[2] - part * (a[2] - b[2]),
+        m[3] - part * (a[3] - b[3]), m[4] - part * (a[4] - b[4]), m[5] - part * (a[5] - b[5]),
+    )  # fmt: skip
 
 
 def _quaternion(rho: Vec3) -> Quat:

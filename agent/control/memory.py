@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,7 @@ class Memory(NamedTuple):
     missed: int = 0  # ticks until a hold forgets that it had no state for some (agent.missed)
     braced: Braced = NOT_BRACED  # of a hold that is carried on (agent.control.brace)
     friction_factor: float = 1.0  # times the file's friction (agent.control.friction_factor)
+    settled: Shift = NO_SHIFT  # the shift that the start left
 
     @property
     def calm_and_missed(self) -> int:
@@ -57,14 +59,15 @@ class Memory(NamedTuple):
 
         Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm and MISSED times
         `missed`, age; of `sense` the wrenches (6), `ticks`, the pull against the motion and down (14), what is plain
-        (8), what strikes (5) and what friction bears (4); how a hold is braced (5); the factor of friction.
+        (8), what strikes (5) and what friction bears (4); how a hold is braced (5); the factor of friction; the
+        shift that the start left (6).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
         for row, array in zip(joints, (*own, self.q_hold, *sense[:3]), strict=True):
             if array is not None:
                 row[:n] = array
-        behind = self.calm_and_missed, self.age, *sense.wrenches, *self.braced, self.friction_factor
+        behind = self.calm_and_missed, self.age, *sense.wrenches, *self.braced, self.friction_factor, *self.settled
         rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, *behind
         return [*joints.ravel().tolist(), *map(float, rest)]
 
@@ -92,6 +95,8 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
     braced_at = borne_at + (BORNE if len(tail) >= borne_at + BORNE + BRACED else BORNE_OF_OLD)
     plain, struck = plain_of(tail[plain_at:struck_at], n), struck_of(tail[struck_at:borne_at])
     found = pull_of(tail[36:plain_at]), plain, struck, borne_of(tail[borne_at:braced_at])
+    factor_at = braced_at + BRACED
+    shift = _shift(tail[9:15])
     return Memory(
         q,
         dq,
@@ -101,7 +106,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         tau_before,
         primed=bool(tail[7]),
         sense=Sense(momentum, expected, residual, base, slow, rest, tail[35], *found),
-        shift=(tail[9], tail[10], tail[11], tail[12], tail[13], tail[14]),
+        shift=shift,
         calm=calm,
         hold=hold,
         t=tail[8],
@@ -110,5 +115,13 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         age=tail[16],
         missed=missed,
         braced=braced_of(tail[braced_at:]),
-        friction_factor=(tail[braced_at + BRACED :] or [1.0])[0],  # older rows have none
+        friction_factor=(tail[factor_at:] or [1.0])[0],  # older rows have none
+        settled=_shift(tail[factor_at + 1 :])
+        if len(tail) > factor_at + 1
+        else shift,  # of older rows nothing goes back
     )
+
+
+def _shift(six: Sequence[float]) -> Shift:
+    x, y, z, about_x, about_y, about_z = six
+    return (x, y, z, about_x, about_y, about_z)

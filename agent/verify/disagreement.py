@@ -9,7 +9,9 @@ trajectory's speed times the skew of the starts.  Its law pulls with the stiffne
 is the wrench beyond its share of the load; with two equal arms and Δτ = 0 it is ½ S δ.  Δτ_i: error of the torque
 constants times the torque that holds arm and share, error of the arm's weight, and what friction of joints at rest,
 breakaway and load in it, is beside that of the feed-forward.  Arms that align themselves give way to the anchor: of
-their pose errors the dead zone is left, of what lies between an arm and the anchor what is beyond the largest shift.
+their pose errors the dead zone is left, of what lies between an arm and the anchor what is beyond the largest shift; of
+what an error makes along the way beside what it made at its begin, and beyond the dead zone, also the part β / (α + β)
+by which the shift goes back (agent.control.alignment).
 
 What is given is the quadratic sum over all errors, each at its stated bound, a vector's direction at random.  Soft pads
 make less of it, and so does time: 95 % of realities of the shipped cells have up to 0.48 of it in the mean of a run.
@@ -48,6 +50,7 @@ class _Errors:
     """One arm's independent errors, each at its bound: a column each."""
 
     off: Matrix  # (m, s) δ
+    came: Matrix  # (m, s) of it, what it was not at the begin of the way
     wrench: Matrix  # (m, t) J⁻ᵀ Δτ
 
 
@@ -58,9 +61,14 @@ def disagreement(
     along: Sequence[Sequence[Vector]],
     instants: Sequence[float],
 ) -> tuple[Disagreement, ...]:
-    """Of every arm, largest over all places; along[k][i]: joint angles (n,) of arm i at instants[k], s."""
+    """Of every arm, largest over all places; along[k][i]: joint angles (n,) of arm i at instants[k], s.
+
+    The first place is the begin, where arms have found together.
+    """
     motion = cell.trajectory()
-    each = [_at(cell, models, at, q, motion.at(t).v) for at, q, t in zip(poses, along, instants, strict=True)]
+    at_begin = zip(cell.arms, models, along[0], strict=True)
+    begun = [seen_off(cell, *of_arm, poses[0].P, np.zeros(len(poses[0].P))) for of_arm in at_begin]
+    each = [_at(cell, models, at, q, motion.at(t).v, begun) for at, q, t in zip(poses, along, instants, strict=True)]
     return tuple(max(of_arm, key=lambda d: d.force_N) for of_arm in zip(*each, strict=True))
 
 
@@ -87,11 +95,17 @@ def seen_off(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vec
 
 
 def _at(
-    cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vector], twist: Sequence[float]
+    cell: Cell,
+    models: Sequence[ArmModel],
+    at: Pose,
+    q: Sequence[Vector],
+    twist: Sequence[float],
+    begun: Sequence[Matrix],
 ) -> list[Disagreement]:
     P, v = at.P, at.P @ np.array(twist)
     S = laws(at, [cell.offline(arm).gains for arm in cell.arms]).S
-    errors = [_errors(cell, arm, model, q_i, P, v) for arm, model, q_i in zip(cell.arms, models, q, strict=True)]
+    of_arms = zip(cell.arms, models, q, begun, strict=True)
+    errors = [_errors(cell, arm, model, q_i, P, v, b) for arm, model, q_i, b in of_arms]
     follows = _followers(cell)
     stiff = np.array([np.zeros_like(S_i) if f else S_i for S_i, f in zip(S, follows, strict=True)])
     given = [_wrenches(cell, P, S_i, e, follows=f) for S_i, e, f in zip(S, errors, follows, strict=True)]
@@ -142,16 +156,18 @@ def _wrenches(cell: Cell, P: Matrix, S: Matrix, errors: _Errors, *, follows: boo
     """What the arm's errors make it exert while nothing moves: a column each."""
     off, spec = errors.off, cell.file.controller.alignment
     if follows:
-        # no more of an error is left than the dead zone, in any direction
+        # no more of an error is left than the dead zone, in any direction, and of what came since what goes back
         linear = _linear(P)
         zone = np.where(
             linear, spec.dead_zone_m / math.sqrt(linear.sum()), spec.dead_zone_rad / math.sqrt((~linear).sum())
         )
+        back = spec.return_per_s / (spec.track_per_s + spec.return_per_s)
+        zone += back * np.maximum(np.linalg.norm(errors.came, axis=1) - zone, 0.0)
         off = np.diag(np.minimum(np.linalg.norm(off, axis=1), zone))
     return np.concatenate([-S @ off, errors.wrench], axis=1)
 
 
-def _errors(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vector) -> _Errors:
+def _errors(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vector, begun: Matrix) -> _Errors:
     stated, offline, k = cell.tolerance, cell.offline(arm), model.evaluate(q, np.zeros(model.n))
     J = P @ model.task_basis.T @ k.J
     B_inv = np.linalg.inv(k.B)
@@ -162,7 +178,8 @@ def _errors(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vect
     unknown = max(high - 1.0, 1.0 - low) if offline.friction is not None else high
     friction = unknown * all_at_rest_Nm(arm.servos, held) + unfiled_Nm(stated, arm.servos, held)
     torques = [stated.torque_constant * np.diag(held), stated.masses * k.g[:, None], np.diag(friction)]
-    return _Errors(seen_off(cell, arm, model, q, P, v), J_inv.T @ np.concatenate(torques, axis=1))
+    off = seen_off(cell, arm, model, q, P, v)
+    return _Errors(off, off - begun, J_inv.T @ np.concatenate(torques, axis=1))
 
 
 def _shift(P: Matrix, bound: float) -> Matrix:

@@ -13,7 +13,7 @@ import configs
 from agent import phases
 from agent.config.cell import load_cell
 from agent.control import adaptive, known
-from agent.control.alignment import shifted
+from agent.control.alignment import NO_SHIFT, Shift, shifted
 from agent.control.borne import Borne
 from agent.control.cause import Cause
 from agent.control.memory import Memory
@@ -199,6 +199,24 @@ def test_a_start_beside_the_place_is_blended_away_while_the_arm_tracks(mode: Mod
     assert blended != SHIFT
     assert after == (blended if mode is Mode.TRACK else SHIFT)
     assert tick(arm(alignment=None, session=None), mode, memory(agent, shift=SHIFT), t=t).memory.shift == SHIFT
+
+
+def test_a_session_takes_away_what_the_start_left_and_arms_find_together_anew_behind_the_blend() -> None:
+    agent, start = arm(), (0.001, 0.0, 0.0, 0.0, 0.0, 0.0)
+    session = agent.session
+    assert session is not None
+
+    def left(since_s: float, settled: Shift) -> tuple[Shift, Shift]:
+        of = memory(agent, shift=SHIFT, settled=settled)
+        found = tick(agent, Mode.TRACK, of, t=session.start_blend_s + since_s).memory
+        return found.settled, found.shift
+
+    assert left(-0.01, start)[0] == NO_SHIFT
+    settled, shift = left(4.0 / 0.3 - 0.01, NO_SHIFT)
+    assert settled == NO_SHIFT
+    settled, shift = left(4.0 / 0.3 + 0.01, NO_SHIFT)
+    assert settled == shift != NO_SHIFT
+    assert left(100.0, start)[0] == start
 
 
 def test_time_in_a_mode_goes_on_by_a_period() -> None:

@@ -24,6 +24,8 @@ from tests.unit.test_step_rules import arm, start
 BOUND = 0.5
 T = 0.7
 SHIFT = (0.001, -0.002, 0.003, 0.01, -0.02, 0.03)
+FOUND = (0.0, 0.0, 0.007, 0.0, 0.0, 0.0)
+SETTLED = (0.004, 0.0, 0.0, 0.0, 0.05, 0.0)
 TURNED = (math.cos(0.1), math.sin(0.1), 0.0, 0.0)
 START = (0.3, 0.1, 0.2), TURNED
 
@@ -223,10 +225,15 @@ class Aligning:
     """Stands in for the alignment."""
 
     asked: list[tuple[Any, ...]] = field(default_factory=list)
+    settles: list[tuple[Any, ...]] = field(default_factory=list)
 
-    def advance(self, shift: Any, _errors: Any, dt: float, *, ready: bool) -> Any:
-        self.asked.append((shift, dt, ready))
+    def advance(self, shift: Any, settled: Any, _errors: Any, dt: float, *, ready: bool) -> Any:
+        self.asked.append((shift, settled, dt, ready))
         return (0.5, *shift[1:])
+
+    def settle(self, settled: Any, shift: Any, since_s: float) -> Any:
+        self.settles.append((settled, shift, since_s))
+        return FOUND
 
 
 @pytest.mark.parametrize("mode", list(Mode))
@@ -234,11 +241,22 @@ class Aligning:
 def test_the_shift_goes_on_while_waiting_or_tracking_with_a_memory_that_was_kept_up(mode: Mode, known: bool) -> None:
     aligning = Aligning()
     agent = arm(alignment=aligning, start=START)
-    outcome = at(agent, (0.0, 0.0, 0.0), mode, primed(agent, shift=SHIFT)._replace(primed=known))
+    outcome = at(agent, (0.0, 0.0, 0.0), mode, primed(agent, shift=SHIFT)._replace(primed=known, settled=SETTLED))
     goes_on = known and mode in (Mode.READY, Mode.TRACK)
-    assert aligning.asked == ([(SHIFT, agent.period_s, mode is Mode.READY)] if goes_on else [])
+    assert aligning.asked == ([(SHIFT, SETTLED, agent.period_s, mode is Mode.READY)] if goes_on else [])
     assert outcome.memory.shift == ((0.5, *SHIFT[1:]) if goes_on else SHIFT)
     assert at(arm(), (0.0, 0.0, 0.0), mode, primed(agent, shift=SHIFT)).memory.shift == SHIFT
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_what_the_start_leaves_of_a_shift_is_that_of_the_last_tick_before_it(mode: Mode) -> None:
+    aligning = Aligning()
+    agent, after = arm(alignment=aligning, start=START), (0.5, *SHIFT[1:])
+    outcome = at(agent, (0.0, 0.0, 0.0), mode, primed(agent, shift=SHIFT)._replace(settled=SETTLED))
+    assert outcome.memory.settled == {Mode.READY: after, Mode.TRACK: FOUND}.get(mode, SETTLED)
+    assert aligning.settles == ([(SETTLED, after, T)] if mode is Mode.TRACK else [])
+    plain = at(arm(), (0.0, 0.0, 0.0), Mode.TRACK, primed(agent, shift=SHIFT)._replace(settled=SETTLED))
+    assert plain.memory.settled == SETTLED, "it does not align itself"
 
 
 def desired_of(agent: Agent, mode: Mode, memory: Memory) -> tuple[Any, Any, Any]:

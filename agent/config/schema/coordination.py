@@ -24,6 +24,8 @@ class AlignmentSpec(Strict):
     """How quickly it shifts while waiting for the start."""
     track_per_s: Rate = 0.3
     """How quickly it shifts during the motion."""
+    return_per_s: Rate = 0.3
+    """How quickly its shift goes back during the motion to what it was at the start."""
     dead_zone_m: Annotated[float, Field(ge=0.0, le=0.05)] = 1.5e-3
     """Difference of positions that is left alone."""
     dead_zone_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 8e-3

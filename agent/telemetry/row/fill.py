@@ -33,6 +33,7 @@ _NO_SENSE: Final = (math.nan,) * 10  # unexpected_wrench, unexpected
 SENSE_ARRAYS: Final = 3  # of the field `memory`: of agent.control.residual.Sense
 SENSE_REST: Final = 50
 FACTOR: Final = 1  # number behind those of `braced`
+SETTLED: Final = 6  # of what the start left of the shift
 _WRENCHES: Final = struct.Struct(f"<{SENSE_REST}d")
 
 Row = NDArray[np.void]
@@ -128,7 +129,7 @@ class AgentRow:
             memory.tau.tobytes(), memory.tau_before.tobytes(),
             _ABSENT if memory.q_hold is None else memory.q_hold.tobytes(), of_sense,
             *(memory.hold or NO_POSE), memory.primed, memory.t, *memory.shift, memory.calm_and_missed, memory.age,
-            behind, *memory.braced, memory.friction_factor,
+            behind, *memory.braced, memory.friction_factor, *memory.settled,
         )  # fmt: skip
         if memory.estimate is not None:
             self._theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
@@ -192,7 +193,7 @@ def _packer(first: str, last: str, joint_count: int) -> struct.Struct:
 
 def _code(f: Field, joints: str) -> str:
     if f.name == "memory":
-        sense, last = (8 * SENSE_ARRAYS * MAX_JOINTS, 8 * SENSE_REST), BRACED + FACTOR
+        sense, last = (8 * SENSE_ARRAYS * MAX_JOINTS, 8 * SENSE_REST), BRACED + FACTOR + SETTLED
         own = MEMORY_REST - SENSE_REST - last
         return f"{(MEMORY_ARRAYS - SENSE_ARRAYS) * joints}{sense[0]}s{own}d{sense[1]}s{last}d"
     return joints if _is_of_joints(f) else f"{max(f.length, 1)}{f.struct_code}"

@@ -17,7 +17,7 @@ MAX_JOINTS: Final = 7  # arms with fewer joints leave the rest at zero
 MAX_ARMS: Final = 8
 ARM_PARAMETERS: Final = MAX_JOINTS * 16  # per joint: 10 inertial, rotor inertia, 5 of friction
 OBJECT_PARAMETERS: Final = 10
-MEMORY_ARRAYS, MEMORY_REST = 10, 73  # of agent.control.memory.Memory: joint arrays, and what stands behind them
+MEMORY_ARRAYS, MEMORY_REST = 10, 79  # of agent.control.memory.Memory: joint arrays, and what stands behind them
 MEMORY_LENGTH: Final = MEMORY_ARRAYS * MAX_JOINTS + MEMORY_REST
 
 BUS_COUNTERS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")  # since the bus was opened

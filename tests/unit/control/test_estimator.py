@@ -175,7 +175,9 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
         (*found.sense[:-4], *found.sense.plain), (*memory.sense[:-4], *memory.sense.plain), strict=True
     ):
         assert np.array_equal(one, two)
-    flat_of_old = flat[:-1]  # older than the factor of friction
+    older = restore(flat[:-6], n)
+    assert (older.settled, older.friction_factor) == (memory.shift, memory.friction_factor), "nothing goes back then"
+    flat_of_old = flat[:-7]  # older than the factor of friction
     assert restore(flat_of_old, n).friction_factor == 1.0
     older = restore(np.delete(flat_of_old, [-7, -6]), n)
     assert older.sense.borne == memory.sense.borne._replace(usual_stuck_N=0.0, stuck_N=0.0), "older than stuck joints"
@@ -185,7 +187,7 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
     older = restore(flat_of_old[:-22], n).sense
     assert (older.pull, older.plain.force_N) == (memory.sense.pull, 0.0), "a row that is older than what is plain"
     assert older.plain.momentum.tolist() == [0.0] * n
-    for name in ("primed", "hold", "shift", "calm", "missed", "braced", "friction_factor"):
+    for name in ("primed", "hold", "shift", "calm", "missed", "braced", "friction_factor", "settled"):
         assert getattr(found, name) == getattr(memory, name)
     assert np.array_equal(restore(np.array(found.flatten()), n).flatten(), flat)
 

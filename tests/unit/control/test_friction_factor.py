@@ -227,9 +227,9 @@ def test_joints_that_stick_are_fed_so_many_times_what_they_take_and_viscous_fric
 def test_it_goes_through_a_row_and_a_row_that_is_older_has_none() -> None:
     memory = initial_memory(arm())._replace(q=start(), friction_factor=1.25)
     flat = np.array(memory.flatten())
-    assert flat[-1] == 1.25
+    assert flat[-7] == 1.25
     assert restore(flat, 3).friction_factor == 1.25
-    assert restore(flat[:-1], 3).friction_factor == 1.0
+    assert restore(flat[:-7], 3).friction_factor == 1.0
 
 
 # --- what it is for --------------------------------------------------------------------------------------------------
@@ -285,5 +285,5 @@ def test_the_real_drivers_and_loops_find_it_on_emulated_servos_and_their_rows_ha
         follows = rows["mode"] == Mode.TRACK
         assert (rows["friction_factor"][~follows] == 1.0).all()
         assert rows["friction_factor"][-1] > 1.05
-        assert rows["memory"][-1, -1] == rows["friction_factor"][-1]
+        assert rows["memory"][-1, -7] == rows["friction_factor"][-1]
         assert follows.sum() > 400

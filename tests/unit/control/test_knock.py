@@ -18,7 +18,7 @@ from agent.control.knock import KNOCK_AT, NOT_STRUCK, SLIP_AT, STRUCK, Knock, St
 from agent.control.memory import initial
 from agent.safety import Flag
 from agent.study.lab import Laboratory, Run
-from agent.telemetry.row.fill import FACTOR
+from agent.telemetry.row.fill import FACTOR, SETTLED
 
 PERIOD = 5e-3
 LAW = Knock(PERIOD, limit_N=0.5)
@@ -73,7 +73,7 @@ def test_its_state_goes_through_a_row() -> None:
     assert struck_of([]) == NOT_STRUCK, "a row of a log that is older than this sense"
     memory = initial(3)
     flat = memory._replace(sense=memory.sense._replace(struck=struck)).flatten()
-    assert (flat[KNOCK_AT], flat[SLIP_AT], len(flat)) == (0.4, 1.5, SLIP_AT + 1 + BORNE + BRACED + FACTOR)
+    assert (flat[KNOCK_AT], flat[SLIP_AT], len(flat)) == (0.4, 1.5, SLIP_AT + 1 + BORNE + BRACED + FACTOR + SETTLED)
 
 
 def test_its_limit_follows_from_that_of_the_pull_and_who_has_none_has_no_knock() -> None:

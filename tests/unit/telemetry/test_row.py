@@ -75,7 +75,7 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     sense = Sense(array_of(n), array_of(n), array_of(n), *wrenches, next(numbers), pull, plain, struck, borne)
     memory = Memory(
         *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19,
-        braced, next(numbers),
+        braced, next(numbers), tuple_of(6),
     )  # fmt: skip
     state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))
     flags = Flag.SATURATED | Flag.STALE

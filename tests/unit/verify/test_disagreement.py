@@ -6,9 +6,11 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from agent.config.cell import Cell, load_cell
+from agent.control import ik
 from agent.verify.check import start_configurations
 from agent.verify.disagreement import (
     MEAN_SHARE,
@@ -101,7 +103,7 @@ def test_of_friction_counts_what_the_feed_forward_does_not_know() -> None:
 def test_friction_of_a_joint_at_rest_counts_with_its_breakaway_and_what_load_makes_of_it(tmp_path: Path) -> None:
     def columns(cell: Cell) -> np.ndarray:
         arm, model = cell.arms[0], cell.model(cell.arms[0])
-        errors = _errors(cell, arm, model, q, PLANE, np.zeros(3))
+        errors = _errors(cell, arm, model, q, PLANE, np.zeros(3), NOTHING)
         return J.T @ errors.wrench[:, model.n + 1 :]
 
     cell = gentle("paper", *EXACT, "tolerance.friction=[0.6, 1.5]")
@@ -167,6 +169,7 @@ def test_of_several_places_the_one_of_the_largest_force_counts() -> None:
 
 
 PLANE = np.eye(6)[[0, 1, 5]]
+NOTHING = np.zeros(1)  # was off at the begin
 
 
 def test_a_turn_moves_the_object_by_its_lever_and_turns_it_about_any_axis_there_is() -> None:
@@ -181,12 +184,50 @@ def test_of_a_follower_s_error_the_dead_zone_is_left_in_metres_and_in_angle() ->
     for P, zone in ((np.eye(6), [3e-3 / math.sqrt(3.0)] * 3 + [6e-3 / math.sqrt(3.0)] * 3),
                     (PLANE, [3e-3 / math.sqrt(2.0)] * 2 + [6e-3])):  # fmt: skip
         m = len(P)
-        large = _Errors(np.full((m, 2), 0.1), np.ones((m, 1)))
+        large = _Errors(np.full((m, 2), 0.1), np.zeros((m, 2)), np.ones((m, 1)))
         kept = _wrenches(cell, P, np.eye(m), large, follows=True)
         np.testing.assert_allclose(np.abs(kept), np.hstack([np.diag(zone), np.ones((m, 1))]))
-        small = _Errors(np.full((m, 2), 1e-4), np.ones((m, 1)))
+        small = _Errors(np.full((m, 2), 1e-4), np.full((m, 2), 1e-4), np.ones((m, 1)))
         kept = _wrenches(cell, P, np.eye(m), small, follows=True)
         np.testing.assert_allclose(np.abs(kept[:, :m]), math.sqrt(2.0) * 1e-4 * np.eye(m))
+
+
+def test_of_what_an_error_makes_along_the_way_the_part_is_left_that_goes_back() -> None:
+    """Of 10 mm that came, beyond a dead zone of 2 mm, a third at 0.1/s back and 0.2/s after it, and never all of it."""
+    law = "controller.alignment = { dead_zone_m = 0.002, dead_zone_rad = 0.004, track_per_s = 0.2, return_per_s = 0.1 }"
+    cell, m = gentle("paper", law), 6
+    came = np.hstack([np.diag([0.01] * 3 + [0.02] * 3), np.zeros((m, 1))])
+    errors = _Errors(np.hstack([came[:, :m], np.full((m, 1), 0.5)]), came, np.ones((m, 1)))
+    kept = np.abs(np.diag(_wrenches(cell, np.eye(m), np.eye(m), errors, follows=True)[:, :m]))
+    zone = np.array([2e-3 / math.sqrt(3.0)] * 3 + [4e-3 / math.sqrt(3.0)] * 3)
+    assert kept == pytest.approx(zone + (came.sum(axis=1) - zone) / 3.0)
+    forgets_nothing = gentle("paper", law.replace("return_per_s = 0.1", "return_per_s = 0.0"))
+    assert np.abs(np.diag(_wrenches(forgets_nothing, np.eye(m), np.eye(m), errors, follows=True)[:, :m])) == (
+        pytest.approx(zone)
+    )
+    small = _Errors(came, came, np.ones((m, 1)))
+    quick = gentle("paper", law.replace("return_per_s = 0.1", "return_per_s = 20.0"))
+    assert (np.abs(_wrenches(quick, np.eye(m), np.eye(m), small, follows=True)[:, :m]).max(axis=1) <= came.sum(1)).all()
+
+
+def test_a_base_that_is_turned_squeezes_more_along_the_way_where_shifts_go_back() -> None:
+    limits = [f"controller.alignment.{most}" for most in ("max_m=0.1", "max_rad=0.5", "dead_zone_m=0.0005")]
+    turned = ("tolerance.base_rad=0.1", "controller.alignment.dead_zone_rad=0.0005", *limits)
+
+    def force(return_per_s: float, *times: float) -> float:
+        cell = gentle("paper", *EXACT, *turned, f"controller.alignment.return_per_s={return_per_s}")
+        models = [cell.model(a) for a in cell.arms]
+        q, along = start_configurations(cell, models), []
+        for t in times:
+            at = cell.trajectory().at(t)
+            there = pin.SE3(pin.Quaternion(*at.quat), np.array(at.p))
+            along.append([ik.solve(model, there, q_i) for model, q_i in zip(models, q, strict=True)])
+        walk = Walk(cell, models, along, list(times))
+        return disagreement(cell, models, poses(walk), walk.along, walk.instants)[0].force_N
+
+    assert force(0.3, 0.0) == force(0.0, 0.0), "at the begin they have found together"
+    assert force(0.3, 0.0, 3.75) > 3.0 * force(0.0, 0.0, 3.75)
+    assert force(0.1, 0.0, 3.75) == pytest.approx(0.5 * force(0.3, 0.0, 3.75), rel=0.2)
 
 
 def test_an_error_of_the_torque_constant_is_a_part_of_what_holds_arm_and_share_and_a_base_turns_about_itself() -> None:
@@ -201,7 +242,7 @@ def test_an_error_of_the_torque_constant_is_a_part_of_what_holds_arm_and_share_a
         return -share * cell.file.object.mass_kg * float(cell.gravity @ p)
 
     carries = [(lifted(q + step) - lifted(q - step)) / 2e-6 for step in 1e-6 * np.eye(model.n)]
-    errors = _errors(cell, arm, model, q, PLANE, np.zeros(3))
+    errors = _errors(cell, arm, model, q, PLANE, np.zeros(3), NOTHING)
     J = PLANE @ model.task_basis.T @ k.J
     np.testing.assert_allclose(J.T @ errors.wrench[:, : model.n], 0.1 * np.diag(k.g + carries), atol=1e-8)
     assert float(np.abs(carries).max()) > 0.05
@@ -213,7 +254,7 @@ def test_an_error_of_the_torque_constant_is_a_part_of_what_holds_arm_and_share_a
 def off_by(shift_m: float, turn_rad: float) -> _Errors:
     """An arm that is off by so much, half of it in each of two columns, in the direction of no axis."""
     sizes = np.repeat([shift_m, turn_rad], 3) / math.sqrt(3.0)
-    return _Errors(np.outer(sizes, [1.0, -1.0]) / math.sqrt(2.0), np.zeros((6, 0)))
+    return _Errors(np.outer(sizes, [1.0, -1.0]) / math.sqrt(2.0), np.zeros((6, 2)), np.zeros((6, 0)))
 
 
 @pytest.mark.parametrize("anchor", [0, 1, 2])
