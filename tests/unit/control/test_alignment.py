@@ -85,6 +85,7 @@ def test_who_found_no_time_before_the_start_goes_back_to_what_was_found_during_t
     late_s = 4.0 / 0.3
     assert FOLLOWER.settle(NO_SHIFT, shift, late_s - 0.01) == NO_SHIFT
     assert FOLLOWER.settle(NO_SHIFT, shift, late_s + 0.01) == shift
+    assert replace(FOLLOWER, track_per_s=0.5).settle(NO_SHIFT, shift, 8.0) == shift
     assert FOLLOWER.settle(start, shift, late_s + 0.01) == start, "it had, and once is enough"
     assert replace(FOLLOWER, track_per_s=0.0).settle(NO_SHIFT, shift, 1e9) == NO_SHIFT, "nothing is ever found"
     none = errors_at((0.0,) * 3, ONE, Desired((0.0,) * 3, ONE, STILL, STILL))
