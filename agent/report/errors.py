@@ -8,9 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from agent.log.columns import Table
 from agent.log.runinfo import RunInfo
 from agent.report.arithmetic import NAN, instant_of_most, most, rms
 from agent.report.decay import AttitudeDecay, PositionDecay
+from agent.report.loss import opened_s
 from agent.report.prepared import Prepared
 from agent.report.results import PoseErrors
 from agent.report.series import Array, PoseSeries, column, same_ticks
@@ -94,14 +96,15 @@ def disagreement(run: Prepared) -> float:
 def left_apart(run: Prepared) -> float:
     """How far two arms are at most apart at the end in what they pull to, m: what their shifts leave of that distance.
 
-    NaN where no arm has shifted what it follows.
+    NaN where no arm has shifted what it follows.  An arm whose grasp has opened counts no more.
     """
-    shifts = {name: column(rows, "shift", slice(0, 3)) for name, rows in run.seen.items()}
+    held = _while_grasped(run)
+    shifts = {name: column(rows, "shift", slice(0, 3)) for name, rows in held.items()}
     if not any(shift.any() for shift in shifts.values()):
         return NAN
     worst = NAN
-    for one, other in combinations(run.seen, 2):
-        a, b = run.seen[one], run.seen[other]
+    for one, other in combinations(held, 2):
+        a, b = held[one], held[other]
         here, there = same_ticks(a, b, 1.0 / run.info.rate_hz)
         if len(here):
             seen = column(a, "p_object")[here[-1]] - column(b, "p_object")[there[-1]]
@@ -110,9 +113,19 @@ def left_apart(run: Prepared) -> float:
 
 
 def apart_by_pair(run: Prepared) -> Iterator[tuple[str, str, Array, Array]]:
-    """Names, times (k,) and distances (k,) m of every pair of arms, on the ticks that both have."""
-    for one, other in combinations(run.seen, 2):
-        a, b = run.seen[one], run.seen[other]
+    """Names, times (k,) and distances (k,) m of every pair of arms, on the ticks that both have and hold the object."""
+    held = _while_grasped(run)
+    for one, other in combinations(held, 2):
+        a, b = held[one], held[other]
         here, there = same_ticks(a, b, 1.0 / run.info.rate_hz)
         apart = column(a, "p_object")[here] - column(b, "p_object")[there]
         yield one, other, column(a, "t")[here], np.asarray(np.linalg.norm(apart, axis=1))
+
+
+def _while_grasped(run: Prepared) -> dict[str, Table]:
+    """Rows of each arm that have a fresh state, before its grasp opened: an empty gripper sees no object."""
+    opened, half_s = opened_s(run), 0.5 / run.info.rate_hz
+    return {
+        name: rows[column(rows, "t") < opened[name] - half_s] if name in opened else rows
+        for name, rows in run.seen.items()
+    }

@@ -93,20 +93,33 @@ def loss_of(run: Prepared) -> Loss | None:
     carried, judged = run.grasps.t < until_s, run.true.t < until_s
     off_m, off_rad = (off[judged] for off in _off(run.true))
     lost = np.flatnonzero(is_lost(off_m, off_rad))
-    t, opened, largest = run.grasps.t[carried], dict[str, float](), dict[str, float]()
+    t, largest = run.grasps.t[carried], dict[str, float]()
     slipped, slip_m, slip_rad = dict[str, float](), dict[str, float](), dict[str, float]()
     for i, arm in enumerate(run.info.arms):
-        gap = component(run.grasps.plant, "contact_error_m", i)[carried]
-        is_open, largest[arm.name] = np.isnan(gap), most(gap)
-        if is_open.any() and not is_open.all():  # of a grasp that was never closed nothing is known
-            opened[arm.name] = float(t[np.argmax(is_open)])
+        largest[arm.name] = most(component(run.grasps.plant, "contact_error_m", i)[carried])
         by_m, by_rad = (component(run.grasps.plant, name, i)[carried] for name in ("slip_m", "slip_rad"))
         slip_m[arm.name], slip_rad[arm.name] = most(by_m), most(by_rad)
         seen = (by_m > SLIPPED_M) | (by_rad > SLIPPED_RAD)
         if seen.any():
             slipped[arm.name] = float(t[np.argmax(seen)])
     lost_s = float(run.true.t[judged][lost[0]]) if len(lost) else NAN
-    return Loss(lost_s, most(off_m), most(off_rad), opened, largest, slipped, slip_m, slip_rad)
+    return Loss(lost_s, most(off_m), most(off_rad), opened_s(run), largest, slipped, slip_m, slip_rad)
+
+
+def opened_s(run: Prepared) -> dict[str, float]:
+    """The first row, s, with the grasp open of each arm whose grasp opened during the motion; nothing without a plant.
+
+    Of a grasp that was never closed nothing is known.
+    """
+    found = dict[str, float]()
+    if run.grasps is None:
+        return found
+    carried = run.grasps.t < _handed_over_s(run)
+    for i, arm in enumerate(run.info.arms):
+        is_open = np.isnan(component(run.grasps.plant, "contact_error_m", i)[carried])
+        if is_open.any() and not is_open.all():
+            found[arm.name] = float(run.grasps.t[carried][np.argmax(is_open)])
+    return found
 
 
 def told(run: Prepared) -> list[Event]:

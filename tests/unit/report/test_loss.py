@@ -11,7 +11,8 @@ import pytest
 
 from agent.log.read import RunLog
 from agent.modes import Mode
-from agent.report.loss import LOST_M, LOST_RAD, SLIPPED_M, is_lost, told
+from agent.report.errors import apart_by_pair
+from agent.report.loss import LOST_M, LOST_RAD, SLIPPED_M, is_lost, opened_s, told
 from agent.report.metrics import summarise
 from agent.report.moments import moments_of
 from agent.report.page import render
@@ -121,6 +122,35 @@ def test_arms_have_found_together_only_over_an_object_that_all_of_them_kept() ->
     lost.plant["p_object"][300:, 0] += 0.2
     assert TOGETHER not in said(opened)
     assert TOGETHER not in said(lost)
+
+
+def test_arms_disagree_only_while_both_of_them_have_the_object_in_their_grippers() -> None:
+    """What an empty gripper sees is no object: from the first row with its grasp open on, the arm counts no more."""
+    log = small_run()
+    seen = log.agents["right"]["p_object"]
+    seen[:, 0] = 1e-6 * np.arange(TICKS)
+    seen[300:, 0] += 0.5
+    log.agents["right"]["shift"][:, 1] = 2e-4
+    assert summarise(log).arm_disagreement_m == pytest.approx(0.5 + 1e-6 * (TICKS - 1))
+    log.plant["contact_error_m"][300:, 1] = math.nan
+    found = summarise(log)
+    assert found.arm_disagreement_m == pytest.approx(299e-6)
+    assert found.arm_disagreement_left_m == pytest.approx(math.hypot(299e-6, 2e-4))
+    assert found.loss.grasp_open_s == {"right": 300 / RATE_HZ}
+    ((_, _, t, _),) = apart_by_pair(prepare(log))
+    assert t.tolist() == pytest.approx((np.arange(300) / RATE_HZ).tolist())
+    log.agents["right"]["shift"][:] = 0.0
+    log.agents["right"]["shift"][300:, 1] = 2e-4  # by what it sees without the object
+    assert math.isnan(summarise(log).arm_disagreement_left_m)
+
+
+def test_a_grasp_that_opens_as_the_object_is_handed_over_ends_no_disagreement_before() -> None:
+    log = small_run()
+    log.agents["right"]["p_object"][:, 0] = 1e-3
+    log.agents["left"]["mode"][OPENED_AT:] = Mode.RELEASE
+    log.plant["contact_error_m"][OPENED_AT + 1 :, 1] = math.nan
+    assert opened_s(prepare(log)) == {}
+    assert summarise(log).arm_disagreement_m == pytest.approx(1e-3)
 
 
 @pytest.mark.parametrize("how", ["falls", "turns"])
