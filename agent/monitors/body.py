@@ -83,9 +83,11 @@ class Limited:
         self._place = place + 1 if place + 1 < LIMITED_TICKS else 0
         if self._count <= self._most:
             return ""
+        carries = self._bit == Flag.SATURATED and at.mode not in ALONE
+        limp = "a neighbour that is limp, or " if carries else ""
         return sentence(
             self._what, f"in {self._count} of the last {LIMITED_TICKS} cycles", f"at most {self._most:.0f}",
-            "see `coop check` for the torque that the motion needs, and look for what the arm pushes against",
+            f"see `coop check` for the torque that the motion needs, and look for {limp}what the arm pushes against",
         )  # fmt: skip
 
 

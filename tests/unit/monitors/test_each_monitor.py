@@ -128,6 +128,23 @@ def test_the_last_hundred_ticks_are_a_hundred() -> None:
     assert limited([True] + [False] * 149 + [True] * 50 + [False]) is None, "the first is past"
 
 
+@pytest.mark.parametrize(
+    ("flag", "mode", "limp"),
+    [
+        (Flag.SATURATED, Mode.READY, True),
+        (Flag.SATURATED, Mode.TRACK, True),
+        (Flag.SATURATED, Mode.APPROACH, False),
+        (Flag.RATE_LIMITED, Mode.TRACK, False),
+    ],
+)
+def test_an_arm_at_its_torque_limit_asks_for_a_limp_neighbour_while_it_has_the_object(
+    flag: Flag, mode: Mode, limp: bool
+) -> None:
+    _, said = first(Limited(usual(), flag, "torque"), [tick(mode=mode, flags=flag)] * 100)
+    assert ("look for a neighbour that is limp, or what the arm pushes against" in said) is limp
+    assert ("look for what the arm pushes against" in said) is not limp
+
+
 # --- load ------------------------------------------------------------------------------------------------------------
 
 
