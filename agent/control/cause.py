@@ -1,8 +1,10 @@
 """What may be behind an unexpected wrench on an arm: told by the direction of its force, as far as that can tell.
 
 The neighbours of a limp arm feel its weight; those of one that holds or is locked are pulled back against the motion;
-an arm whose gripper lost the object lacks its share of the weight and feels a lift.  A hand can do all of that,
-and a limp arm also pulls aside, so what fits is named, the best first, and no more is claimed.
+an arm whose gripper lost the object lacks its share of the weight and feels a lift, and so may one whose neighbour lets
+go of what both strained.  A hand can do all of that, and a limp arm also pulls aside, so what fits is named, the best
+first, and no more is claimed.  Where a channel shows a moment and hardly any force, the force is that of the other one
+where that is above its limit, too; else the moment may still be that of a weight on the far side of the object.
 
 An arm whose reference jumps as the motion begins, because it sees the object elsewhere and follows no shift for it,
 strikes itself (agent.verify.noticing).  Its own terms say how hard, which tells this from all else.
@@ -25,6 +27,8 @@ from drivers.interface import Vector
 LEAST_COSINE: Final = 0.45  # between the force and a direction that it fits
 STILL_M_PER_S: Final = 1e-3  # a motion slower than this has no direction
 NO_FORCE: Final = 0.5  # of the channel's limit: a force below it is not what tripped
+ASLANT: Final = 0.06  # cosine between the force and down, from which on it may be a weight that also turns
+LEVER_M: Final = 1e-3  # a weight nearer to the object's centre than this turns nothing
 BEGIN_S: Final = 0.02  # behind the start: before anybody's push is noticed
 UNLIKE: Final = 0.5  # of the unexpected wrench, what may be left beside that of the jump
 
@@ -34,9 +38,9 @@ class Cause(enum.StrEnum):
 
     WEIGHT = "a neighbour is limp or let go of the object, or something presses down"
     BACK = "a neighbour holds or is locked, or something is in the way"
-    LIFT = "this arm's gripper lost the object, or something lifts it"
-    TWIST = "the object is twisted"
-    PUSH = "the object is pushed or pulled"
+    LIFT = "this arm's gripper lost the object, a neighbour is limp or let go of it, or something lifts it"
+    TWIST = "a neighbour or something else twists the object"
+    PUSH = "a neighbour or something else pushes or pulls the object"
     BEGIN = "the motion does not begin where this arm sees the object, or not at rest"
 
 
@@ -55,8 +59,8 @@ def told(
         weighs, drags = residual.weighed(sense), residual.dragged(sense)
         fits = behind((wrench - sense.base)[:3], v, gravity, weighs=weighs, drags=drags)
         return f"{described(fits, found)}, {felt(sense)}"
-    f, limit_N = force(residual, sense, wrench)
-    return described(causes(f, limit_N, v, gravity), found)
+    beyond = np.cross(terms.kinematics.p_ee_object, gravity).tolist()
+    return described(named(parts(residual, sense, wrench), v, gravity, beyond), found)
 
 
 def jumped(residual: Residual, wrench: Vector, terms: Terms) -> bool:
@@ -68,13 +72,34 @@ def jumped(residual: Residual, wrench: Vector, terms: Terms) -> bool:
     return bool(np.linalg.norm((wrench - own) / limits) <= UNLIKE * np.linalg.norm(wrench / limits))
 
 
-def force(residual: Residual, sense: Sense, wrench: Vector) -> tuple[Vector, float]:
-    """Force (3,) of the channel that is farthest above its limit, world axes, N, and that channel's limit of force."""
-    found, limits = residual.channels(sense, wrench), residual.limits
-    shares = [x / bound for x, bound in zip(found, limits, strict=True)]
-    if max(shares[:2]) >= max(shares[2:]):
-        return (wrench - sense.base)[:3], limits.fast_N
-    return (sense.slow - sense.rest)[:3], limits.slow_N
+def parts(residual: Residual, sense: Sense, wrench: Vector) -> list[tuple[Vector, float]]:
+    """Fast and slow part (6,) of the wrench and the limit of its force, N; farthest above one of its limits first."""
+    limits, (fast_N, fast_Nm, slow_N, slow_Nm) = residual.limits, residual.channels(sense, wrench)
+    fast, slow = (wrench - sense.base, limits.fast_N), (sense.slow - sense.rest, limits.slow_N)
+    quick = max(fast_N / limits.fast_N, fast_Nm / limits.fast_Nm)
+    return [fast, slow] if quick >= max(slow_N / limits.slow_N, slow_Nm / limits.slow_Nm) else [slow, fast]
+
+
+def named(
+    found: Sequence[tuple[Vector, float]], v: Sequence[float], gravity: Sequence[float], beyond: Sequence[float]
+) -> tuple[Cause, ...]:
+    """What fits of both `parts`, the best first; a twist only where neither of them has a force worth naming.
+
+    v, gravity: as for `causes`; beyond (3,): (p_O − p_E) × gravity, the way of the moment of a weight on the far side
+    of the object.
+    """
+    (first, first_N), (other, other_N) = found
+    fits, more = causes(first[:3], first_N, v, gravity), tuple[Cause, ...]()
+    if float(np.linalg.norm(other[:3])) > other_N:
+        more = causes(other[:3], other_N, v, gravity)
+    turned = fits == (Cause.TWIST,)
+    hangs = _cosine(first[3:], beyond, LEVER_M * math.hypot(*gravity)) >= LEAST_COSINE
+    if turned and not more:
+        return (Cause.WEIGHT, Cause.TWIST) if hangs else fits
+    by_moment = float(np.linalg.norm(first[:3])) <= first_N and Cause.LIFT not in fits  # whose words name it
+    if hangs and (by_moment or _cosine(first[:3], gravity, 0.0) >= ASLANT):
+        more = (*more, Cause.WEIGHT)
+    return tuple(dict.fromkeys(more if turned else (*fits, *(c for c in more if c is not Cause.PUSH))))
 
 
 def causes(f: Vector, limit_N: float, v: Sequence[float], gravity: Sequence[float]) -> tuple[Cause, ...]:
@@ -106,8 +131,8 @@ def behind(f: Vector, v: Sequence[float], gravity: Sequence[float], *, weighs: b
 
 def _cosine(f: Vector, direction: Sequence[float], least: float) -> float:
     """Of the angle between them; zero where the direction is no longer than `least`."""
-    length = math.hypot(*direction)
-    return float(f @ np.array(direction)) / (float(np.linalg.norm(f)) * length) if length > least else 0.0
+    length, size = math.hypot(*direction), float(np.linalg.norm(f))
+    return float(f @ np.array(direction)) / (size * length) if length > least and size > 0.0 else 0.0
 
 
 def described(found: Sequence[Cause], x: Channels) -> str:

@@ -12,7 +12,7 @@ from agent.config.cell import load_cell
 from agent.config.schema.fault import Fault, FaultKind
 from agent.config.schema.reality import ArmReality, Reality
 from agent.control import cause
-from agent.control.cause import Cause, behind, causes, described, force
+from agent.control.cause import Cause, behind, causes, described, named, parts
 from agent.control.residual import Channels, Residual, nothing_sensed
 from agent.control.terms import DQ_REF
 from agent.modes import Mode
@@ -62,17 +62,18 @@ def test_without_weight_nothing_is_limp() -> None:
     assert causes(np.array([0.0, 0.0, -3.0]), 2.0, FORWARD, (0.0, 0.0, 0.0)) == (Cause.PUSH,)
 
 
-def test_the_force_is_that_of_the_channel_farthest_above_its_limit() -> None:
-    residual, wrench = Residual(5e-3, 1.0, LIMITS), np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+def test_the_first_part_is_that_of_the_channel_farthest_above_its_limit() -> None:
+    residual, wrench = Residual(5e-3, 1.0, LIMITS), np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.1])
     sense = nothing_sensed(3)._replace(
         base=np.array([0.0, 0.5, 0, 0, 0, 0]), slow=np.array([1.5, 0, 0, 0, 0, 0]), rest=np.array([0.4, 0, 0, 0, 0, 0])
     )
-    f, limit_N = force(residual, sense, wrench)
-    assert f.tolist() == [0.0, 2.5, 0.0]
-    assert limit_N == 2.0
-    slower, limit_N = force(residual, sense._replace(slow=np.array([1.9, 0, 0, 0, 0, 0])), wrench)
-    assert slower.tolist() == pytest.approx([1.5, 0.0, 0.0])
-    assert limit_N == 1.0
+    (fast, fast_N), (slow, slow_N) = parts(residual, sense, wrench)
+    assert fast.tolist() == [0.0, 2.5, 0.0, 0.0, 0.0, 0.1]
+    assert slow.tolist() == pytest.approx([1.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert (fast_N, slow_N) == (2.0, 1.0)
+    (slower, slow_N), (_, fast_N) = parts(residual, sense._replace(slow=np.array([1.9, 0, 0, 0, 0, 0])), wrench)
+    assert slower[:3].tolist() == pytest.approx([1.5, 0.0, 0.0])
+    assert (slow_N, fast_N) == (1.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -86,8 +87,91 @@ def test_a_moment_counts_as_a_force_does(
     wrench: tuple[float, ...], slow: tuple[float, ...], size_N: float, limit_N: float
 ) -> None:
     sense = nothing_sensed(3)._replace(slow=np.array(slow))
-    f, limit = force(Residual(5e-3, 1.0, LIMITS), sense, np.array(wrench))
-    assert (np.linalg.norm(f), limit) == (size_N, limit_N)
+    part, limit = parts(Residual(5e-3, 1.0, LIMITS), sense, np.array(wrench))[0]
+    assert (np.linalg.norm(part[:3]), limit) == (size_N, limit_N)
+
+
+BEYOND = (0.0, 9.81 * 0.15, 0.0)  # of an object 0.15 m ahead of the arm, along x
+
+
+def both(
+    first: tuple[float, ...], other: tuple[float, ...] = (), beyond: tuple[float, ...] = BEYOND
+) -> tuple[Cause, ...]:
+    """What is named of a part with a limit of 2 N, the farthest above its own, and another one with 1 N."""
+    a, b = (np.array([*f, *[0.0] * (6 - len(f))]) for f in (first, other))
+    return named([(a, 2.0), (b, 1.0)], FORWARD, GRAVITY, beyond)
+
+
+@pytest.mark.parametrize(
+    ("first", "other", "expected"),
+    [
+        ((0.0, 0.0, 0.5), (0.0, 0.0, -1.01), (Cause.WEIGHT,)),
+        ((0.0, 0.0, 0.5), (1.01, 0.0, 0.0), (Cause.PUSH,)),
+        ((0.0, 0.0, 0.5), (0.0, 0.0, -0.99), (Cause.TWIST,)),
+        ((-3.0, 0.0, 0.0), (0.0, 0.0, -1.01), (Cause.BACK, Cause.WEIGHT)),
+        ((-3.0, 0.0, 0.0), (0.0, 0.0, -0.99), (Cause.BACK,)),
+        ((-3.0, 0.0, 0.0), (-1.1, 0.0, -1.0), (Cause.BACK, Cause.WEIGHT)),
+        ((-3.0, 0.0, 0.0), (1.5, 0.0, 0.0), (Cause.BACK,)),
+        ((3.0, 0.0, 0.0), (0.0, 0.0, 1.5), (Cause.PUSH, Cause.LIFT)),
+        ((3.0, 0.0, 0.0), (1.5, 0.0, 0.0), (Cause.PUSH,)),
+        ((3.0, 0.0, 0.0), (np.nan, 0.0, 0.0), (Cause.PUSH,)),
+    ],
+)
+def test_what_fits_the_force_of_the_other_channel_is_named_where_that_is_above_its_limit_too(
+    first: tuple[float, ...], other: tuple[float, ...], expected: tuple[Cause, ...]
+) -> None:
+    assert both(first, other) == expected
+
+
+def test_a_moment_without_a_force_may_be_that_of_a_weight_on_the_far_side_of_the_object() -> None:
+    """An adaptive arm takes up the force of a limp neighbour, and not where it acts."""
+    assert both((0.0, 0.0, -0.1, 0.0, 0.5, 0.0)) == (Cause.WEIGHT, Cause.TWIST)
+    assert both((0.0, 0.0, -0.1, 0.0, -0.5, 0.0)) == (Cause.TWIST,), "a lift there"
+    assert both((0.0, 0.0, -0.1, 0.5, 0.0, 0.0)) == (Cause.TWIST,), "about the line between them"
+    assert both((0.0, 0.0, 0.0, 0.0, 0.5, 0.0), (-1.5, 0.0, 0.0)) == (Cause.BACK, Cause.WEIGHT)
+    for angle, fits in ((1.0, True), (1.2, False)):
+        moment = (0.5 * np.sin(angle), 0.5 * np.cos(angle), 0.0)
+        assert (Cause.WEIGHT in both((0.0, 0.0, 0.0, *moment))) is fits
+    for lever_m, fits in ((1.1e-3, True), (0.9e-3, False)):
+        assert (Cause.WEIGHT in both((0.0, 0.0, 0.0, 0.0, 0.5, 0.0), beyond=(0.0, 9.81 * lever_m, 0.0))) is fits
+
+
+@pytest.mark.parametrize(
+    ("down_N", "moment_Nm", "expected"),
+    [
+        (0.185, 0.1, (Cause.BACK, Cause.WEIGHT)),
+        (0.175, 0.1, (Cause.BACK,)),
+        (0.185, -0.1, (Cause.BACK,)),
+        (0.185, 0.0, (Cause.BACK,)),
+        (-0.185, 0.1, (Cause.BACK,)),
+        (3.0, 0.1, (Cause.WEIGHT, Cause.BACK)),
+    ],
+)
+def test_a_force_slightly_down_that_also_turns_the_object_down_on_the_far_side_may_be_a_weight(
+    down_N: float, moment_Nm: float, expected: tuple[Cause, ...]
+) -> None:
+    assert both((-3.0, 0.0, -down_N, 0.0, moment_Nm, 0.0)) == expected
+
+
+@pytest.mark.parametrize(
+    ("f", "expected"),
+    [
+        ((1.9, 0.0, 0.0), (Cause.PUSH, Cause.WEIGHT)),
+        ((2.1, 0.0, 0.0), (Cause.PUSH,)),
+        ((0.0, 0.0, 1.9), (Cause.LIFT,)),
+    ],
+)
+def test_where_only_the_moment_is_above_its_limit_it_names_a_weight_beside_what_fits_the_force(
+    f: tuple[float, ...], expected: tuple[Cause, ...]
+) -> None:
+    """The words of a lift name a limp neighbour by themselves."""
+    assert both((*f, 0.0, 0.5, 0.0)) == expected
+
+
+def test_all_that_a_neighbour_can_do_names_it() -> None:
+    """A neighbour that opened its gripper or went limp also lifts, twists or pushes the object at this arm."""
+    assert [cause for cause in Cause if "a neighbour" not in cause] == [Cause.BEGIN]
+    assert "a neighbour is limp or let go of it" in Cause.LIFT
 
 
 def test_what_pulls_down_is_a_weight_first_and_what_pulls_back_a_neighbour_that_holds() -> None:
@@ -140,6 +224,29 @@ def test_the_neighbour_of_a_fault_names_it(
     assert trip.flags & Flag.UNEXPECTED
     assert trip.t - at_s <= within_s
     assert cause in trip.why
+
+
+@pytest.mark.parametrize(
+    ("cell", "arm", "at_s"),
+    [
+        ("paper_real", "left", -0.35),
+        ("paper_adaptive", "left", -0.2),
+        pytest.param("paper_real", "right", -0.35, marks=pytest.mark.long),
+        pytest.param("paper_adaptive", "right", -0.35, marks=pytest.mark.long),
+        pytest.param("paper_adaptive", "right", -0.2, marks=pytest.mark.long),
+    ],
+)
+@pytest.mark.fault("F1")
+def test_a_neighbour_that_went_limp_just_before_the_start_is_named_although_a_moment_tells_first(
+    cell: str, arm: str, at_s: float
+) -> None:
+    run = Run(Laboratory(load_cell(Path(cell), ["simulation.ready_s=2.0"])), None)
+    while run.t < 0.3 and not run.trips:
+        if run.t >= at_s:
+            next(place for place in run.places if place.agent.name == arm).limp = True
+        run.advance()
+    (trip,) = run.trips
+    assert trip.why.startswith(Cause.WEIGHT)
 
 
 @pytest.mark.parametrize(("force_N", "noticed"), [(10.0, True), (2.0, False)])
