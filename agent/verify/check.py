@@ -25,6 +25,7 @@ from agent.verify.marks import marks
 from agent.verify.noticing import begun, learned, noticed, rested, unlearnt, unstated
 from agent.verify.path import Path, along_trajectory, arm_findings, reach, start_configurations
 from agent.verify.plausible import plausibility
+from agent.verify.radius import mended, told
 from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.session import lives, session
 from drivers.interface import Vector
@@ -184,10 +185,11 @@ def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[Path]) ->
 
 
 def _radius(cell: Cell, what: str, found: Damping, *, gate: bool) -> Finding:
-    limit = cell.file.safety.spectral_radius_max
+    limit = cell.file.radius_max
+    unstable = "raise rate_hz, or take the gains that `coop tune` proposes"
     finding = judged(
-        what, "cell", f"{found.radius:.4f}", f"≤ {limit:g}", holds=found.radius <= limit,
-        remedy="raise rate_hz, or take the gains that `coop tune` proposes",
+        what, "cell", told(found.radius, limit), f"≤ {limit:g}", holds=found.radius <= limit,
+        remedy=mended(found.radius, cell.file.rate_hz, unstable),
         otherwise=Verdict.REFUSED if gate else Verdict.WARNING,
     )  # fmt: skip
     return replace(finding, by_gains=True)
@@ -199,7 +201,7 @@ def _adaptation(
     along = list(zip(*(p.q for p in paths), strict=True))
     every = max(1, len(along) // STABILITY_SAMPLES)
     found = examine_adaptation(cell, models, along[::every], instants[::every])
-    spec, radius_max = cell.file.controller.adaptive, cell.file.safety.spectral_radius_max
+    spec, radius_max = cell.file.controller.adaptive, cell.file.radius_max
     rows = (
         ("gamma", f"{spec.gamma:g}", found.gamma_max, spec.gamma <= found.gamma_max, "lower gamma, or raise rate_hz"),
         (
@@ -207,7 +209,7 @@ def _adaptation(
             spec.gamma_object <= found.gamma_object_max, "lower gamma_object, or raise rate_hz",
         ),
         (
-            "spectral radius with the estimates of the start", f"{found.radius_at_start:.4f}", radius_max,
+            "spectral radius with the estimates of the start", told(found.radius_at_start, radius_max), radius_max,
             found.radius_at_start <= radius_max,
             "set rotor_inertia = false, begin nearer to the configured parameters, or raise rate_hz",
         ),

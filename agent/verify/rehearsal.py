@@ -15,6 +15,7 @@ from agent.control.stability import coupled_inertia, spectral_radius
 from agent.control.terms import INTERNAL, OBJECT
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.margin import sampled_loop
+from agent.verify.radius import told
 from drivers.interface import Vector
 from drivers.rehearsal import LEAST_TOUCH_N, STIFFEST
 
@@ -69,9 +70,9 @@ def _alone(cell: Cell, arm: Arm, model: ArmModel, path: Sequence[Vector]) -> Fin
         true = coupled_inertia([model], [q], NO_OBJECT_KG, NO_OBJECT_KG * np.eye(3))
         believed = coupled_inertia([model], [q], share * obj.mass_kg, share * (R @ inertia @ R.T))
         radius = max(radius, spectral_radius(true, believed, P, loop))
-    limit = cell.file.safety.spectral_radius_max
+    limit = cell.file.radius_max
     return judged(
-        "spectral radius of the arm on its own", arm.name, f"{radius:.4f}", f"≤ {limit:g}", holds=radius <= limit,
+        "spectral radius of the arm on its own", arm.name, told(radius, limit), f"≤ {limit:g}", holds=radius <= limit,
         remedy="take the gains that `coop tune` proposes: the arm must be stable before it is coupled",
     )  # fmt: skip
 

@@ -21,6 +21,7 @@ from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, st
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import mean_bound_N, spare_N
 from agent.verify.one_fails import document_of, findings_of
+from agent.verify.radius import mended, told
 from agent.verify.support import Statics, Support
 from drivers.interface import Vector
 
@@ -96,16 +97,18 @@ class Robustness:
         """For a person; refused where servos move the arms, warned of in simulation."""
         cell, found = self.walk.cell, self.criterion
         otherwise = Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING
-        limit = cell.file.safety.spectral_radius_max
+        limit = cell.file.radius_max
         findings = []
         for demand, worst in found.worst.items():
             most = 1.0 - CREEP if demand is Demand.ALIGNING else limit
+            unstable = f"{_MEANING[demand]}; take the gains that `coop tune` proposes, or raise rate_hz"
             findings.append(
                 judged(
-                    f"stable: {demand.value}", self._where(worst), f"{worst.radius:.4f} ({self.described(worst)})",
+                    f"stable: {demand.value}", self._where(worst),
+                    f"{told(worst.radius, most)} ({self.described(worst)})",
                     "< 1" if demand is Demand.ALIGNING else f"≤ {limit:g}", holds=worst.radius <= most,
                     otherwise=otherwise,
-                    remedy=f"{_MEANING[demand]}; take the gains that `coop tune` proposes, or raise rate_hz",
+                    remedy=mended(worst.radius, cell.file.rate_hz, unstable),
                 )
             )  # fmt: skip
         failed = [f for i, s in enumerate(self.support) for f in findings_of(cell, self.instants, i, s)]

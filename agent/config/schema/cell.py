@@ -32,6 +32,7 @@ from agent.config.schema.world import Object, Table, World
 from agent.telemetry.row.topics import RESERVED
 
 PERIODS_TOLERANCE = 1e-6
+DECAY_LEAST_PER_S = 0.02  # of errors, whatever the rate
 
 
 class Safety(Strict):
@@ -53,8 +54,8 @@ class Safety(Strict):
     """Beyond it the object is held: a neighbour, a grasp or a person is the reason."""
     tracking_error_max_rad: Attitude = 0.3
     """Attitude error beyond which the object is held."""
-    spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
-    """Largest spectral radius of the sampled loop that a check accepts."""
+    spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    """Largest spectral radius of a period that a check accepts; none: errors fall by 2 % a second, 0.9999 at 200 Hz."""
     hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] = 1.5
     """A joint that is faster while an arm holds is braked."""
     blind_s: Annotated[float, Field(ge=0.02, le=2.0)] = 0.2
@@ -155,6 +156,12 @@ class CellFile(Strict):
         periods = self.loop_delay_s * self.rate_hz
         whole = float(round(periods))
         return whole if abs(periods - whole) <= PERIODS_TOLERANCE else periods
+
+    @property
+    def radius_max(self) -> float:
+        """Largest spectral radius per period that a check accepts."""
+        given = self.safety.spectral_radius_max
+        return math.exp(-DECAY_LEAST_PER_S / self.rate_hz) if given is None else given
 
     @property
     def observe_every(self) -> int:
