@@ -16,7 +16,7 @@ from agent.verify.alignment_reach import alignment_reach
 from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
-from agent.verify.criterion.examine import Criterion, Found, examine
+from agent.verify.criterion.examine import STABLE, Criterion, Found, examine
 from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, start_off
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import mean_bound_N, spare_N
@@ -101,7 +101,7 @@ class Robustness:
         findings = []
         for demand, worst in found.worst.items():
             most = 1.0 - CREEP if demand is Demand.ALIGNING else limit
-            unstable = f"{_MEANING[demand]}; take the gains that `coop tune` proposes, or raise rate_hz"
+            unstable = f"{self._meaning(demand)}; take the gains that `coop tune` proposes, or raise rate_hz"
             findings.append(
                 judged(
                     f"stable: {demand.value}", self._where(worst),
@@ -113,6 +113,13 @@ class Robustness:
             )  # fmt: skip
         failed = [f for i, s in enumerate(self.support) for f in findings_of(cell, self.instants, i, s)]
         return [*findings, self._margin(otherwise), *failed, *self._internal(), *self.reach, *_unseen(cell)]
+
+    def _meaning(self, demand: Demand) -> str:
+        """Of a loop that is unstable; aligning has no part in it where the cell is unstable without."""
+        without = [self.criterion.worst[d].radius for d in (Demand.RIGID, Demand.SOFT) if d in self.criterion.worst]
+        if demand is Demand.ALIGNING and max(without) >= STABLE:
+            return "the cell is unstable without aligning, too"
+        return _MEANING[demand]
 
     def _internal(self) -> list[Finding]:
         cell = self.walk.cell

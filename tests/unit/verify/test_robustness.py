@@ -15,6 +15,7 @@ from agent.cli.documents import check_document
 from agent.config.cell import Cell, ConfigError
 from agent.verify.check import CheckReport, examine, start_configurations
 from agent.verify.criterion.cases import Aligning, Demand
+from agent.verify.criterion.examine import Found
 from agent.verify.disagreement import disagreement
 from agent.verify.finding import Finding, Verdict
 from agent.verify.path import along_trajectory
@@ -223,3 +224,24 @@ def test_the_slow_creep_of_alignment_is_no_instability() -> None:
     assert aligning.wanted == "< 1"
     assert found.robustness is not None
     assert found.robustness.criterion.worst[Demand.ALIGNING].radius > found.robustness.criterion.radius
+
+
+def aligning_in(**radii: float) -> Finding:
+    """What is said of arms that align themselves where the worst of each demand has this radius."""
+    whole = looked_at(gentle, "paper", *SERVOS, *ALIGNED).robustness
+    assert whole is not None
+    worst = whole.criterion.worst
+    cases = tuple(Found(radii.get(d.name.lower(), f.radius), f.case) for d, f in worst.items())
+    found = replace(whole, criterion=replace(whole.criterion, cases=cases)).findings()
+    return next(f for f in found if f.what == "stable: cell that aligns itself")
+
+
+def test_aligning_is_blamed_only_where_the_cell_is_stable_without() -> None:
+    without, blamed = "unstable without aligning, too", "run away from each other; lower ready_per_s"
+    for radii in ({"aligning": 1.02}, {"aligning": 1.02, "bare": 1.1}):
+        assert blamed in aligning_in(**radii).remedy
+    for aligning, other, radius in ((1.046, "soft", 1.0457), (1.03, "soft", 1.04), (1.2, "rigid", 1.1)):
+        found = aligning_in(aligning=aligning, **{other: radius})
+        assert found.verdict is Verdict.REFUSED
+        assert without in found.remedy
+        assert "ready_per_s" not in found.remedy
