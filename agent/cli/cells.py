@@ -121,7 +121,10 @@ def tune(
     else:
         console().print(tune_table(configured, proposals))
         if chosen.from_usual:
-            note("the configured gains are unstable: the search began with usual ones, and takes their torque noise")
+            note(
+                "the configured gains are unstable, or held by friction alone: the search began with usual ones, and "
+                "takes their torque noise"
+            )
         typer.echo(toml_lines(chosen) or "the configured gains are the largest that keep the margin")
     if write is not None:
         note(f"written  {write}")

@@ -1,8 +1,9 @@
 """Gains for a cell: the stiffest that survive what reality may make of it, or those that keep the rigid cell damped.
 
 REALITY searches by the criterion of `coop check` (agent.verify.stiffest), from the configured gains on, or from usual
-ones where those are unstable and say nothing of how much noise is wanted.  The other two look at the rigid cell alone,
-also with the arms' inertia off, in two ways, because the paper has one K where a sampled loop would rather have two:
+ones where those are unstable, or so small that friction alone holds the cell, and say nothing of how much noise is
+wanted.  The other two look at the rigid cell alone, also with the arms' inertia off, in two ways, because the paper has
+one K where a sampled loop would rather have two:
 
 - RATIO scales k_p and k_eps together with their forms in v̇_r;
 - RATE leaves k_p and k_eps, which say how stiffly the object is held, and lowers only their forms in v̇_r, which are
@@ -49,6 +50,7 @@ from drivers.interface import Vector
 POSE_MAX: Final = 2.0  # k_p and k_eps are not proposed above this, relative to the configured ones
 POSE_FLOORS: Final = (0.5, 0.1)  # nor below the first, unless no k_v keeps the margin with them, nor ever the second
 RATE_RANGE: Final = (0.05, 1.0)
+SLOW_S: Final = 4.0  # time constant without friction, above which gains are of no use (2.2 of the cells that ship)
 ELSEWHERE: Final = 0.9  # of the largest adaptation gains at these places, for others
 
 
@@ -99,6 +101,11 @@ class GainSet:
     def slowest_s(self) -> float:
         """Time constant of the slowest mode with the nominal inertia, s."""
         return self.damping[0.0].time_constant_s(1.0 / self.cell.file.rate_hz)
+
+    @property
+    def useless(self) -> bool:
+        """Whether these say nothing of how much noise is wanted: unstable, or held by little else than friction."""
+        return self.criterion.radius >= STABLE or self.slowest_s > SLOW_S
 
 
 @dataclass(frozen=True)
@@ -194,7 +201,7 @@ class Tuner:
 
     def _begin(self) -> tuple[Loop, bool]:
         """Where the search of REALITY begins, and whether that is with usual gains."""
-        own, usual = loop_of(self.cell), self.configured().criterion.radius >= STABLE
+        own, usual = loop_of(self.cell), self.configured().useless
         return (usual_loop(self.cell, own) if usual else own), usual
 
     def _wanted(self, margin: Margin, loop: Loop) -> Wanted:
