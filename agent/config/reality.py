@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -67,6 +68,14 @@ def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
         arms=arms,
     )
     return _jittering_within(drawn, jitter_s)
+
+
+def drawn_arms(tolerance: Tolerance, seeds: Iterable[int], cell: Cell) -> Iterator[list[ArmReality]]:
+    """Where `draw` of each seed has bases and grasps, and the zeros of the joints, arm by arm; much sooner."""
+    normal, R = cell.model(cell.arms[0]).plane_normal, cell.T_world_object_start.rotation
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        yield [_arm(tolerance, rng, arm, normal, R) for arm in cell.arms]
 
 
 def _jittering_within(real: Reality, jitter_s: float) -> Reality:

@@ -72,15 +72,6 @@ def disagreement(
     return tuple(max(of_arm, key=lambda d: d.force_N) for of_arm in zip(*each, strict=True))
 
 
-def start_off(cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vector]) -> list[tuple[float, float]]:
-    """How far from its place each arm may see the object at the start, joint angles q[i] (n,): m, rad."""
-    still, found = np.zeros(len(at.P)), []
-    for arm, model, q_i in zip(cell.arms, models, q, strict=True):
-        off, linear = seen_off(cell, arm, model, q_i, at.P, still), _linear(at.P)
-        found.append((float(np.linalg.norm(off[linear])), float(np.linalg.norm(off[~linear]))))
-    return found
-
-
 def seen_off(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vector) -> Matrix:
     """δ (m, s) of an arm at q (n,), a column for each independent error at its bound; v (m,): twist of the motion."""
     stated, k = cell.tolerance, model.evaluate(q, np.zeros(model.n))

@@ -17,11 +17,12 @@ from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
 from agent.verify.criterion.examine import STABLE, Criterion, Found, examine
-from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement, start_off
+from agent.verify.disagreement import MEAN_SHARE, Disagreement, disagreement
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import mean_bound_N, spare_N
 from agent.verify.one_fails import document_of, findings_of
 from agent.verify.radius import mended, told
+from agent.verify.start import start
 from agent.verify.support import Statics, Support
 from drivers.interface import Vector
 
@@ -176,7 +177,7 @@ def robustness(walk: Walk) -> Robustness:
     shifted = walk.some(REACH_PLACES)
     reach = alignment_reach(cell, walk.models, shifted.along, shifted.instants)
     if cell.file.controller.alignment.enabled:
-        reach.append(_start(cell, start_off(cell, walk.models, at[0], few.along[0])))
+        reach.append(start(cell, walk.models, few.along[0]))
     return Robustness(few, found, walk.instants, support, apart, tuple(reach))
 
 
@@ -186,19 +187,6 @@ def _unseen(cell: Cell) -> list[Finding]:
     if not gap_rad:
         return []
     return [Finding("backlash of the gears", "cell", f"up to {gap_rad * 1e3:.3g} mrad, in no figure of this check", "")]
-
-
-def _start(cell: Cell, off: Sequence[tuple[float, float]]) -> Finding:
-    """Whether arms that are as far off as the cell states are let go from their start."""
-    safety = cell.file.safety
-    most_m, most_rad = (max(sizes) for sizes in zip(*off, strict=True))
-    return judged(
-        "start at the stated tolerance", "cell", f"{most_m * 1e3:.2g} mm, {most_rad * 1e3:.2g} mrad (quadratic sum)",
-        f"≤ {safety.start_error_max_m * 1e3:g} mm, {safety.start_error_max_rad * 1e3:g} mrad",
-        holds=most_m <= safety.start_error_max_m and most_rad <= safety.start_error_max_rad, otherwise=Verdict.WARNING,
-        remedy="an arm may hold before the start; calibrate better and say so in [tolerance], or raise "
-        "safety.start_error_max_m and start_error_max_rad",
-    )  # fmt: skip
 
 
 def poses(walk: Walk) -> list[Pose]:

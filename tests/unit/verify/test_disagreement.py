@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from agent.config.cell import Cell, load_cell
+from agent.config.cell import Cell
 from agent.control import ik
 from agent.verify.check import start_configurations
 from agent.verify.disagreement import (
@@ -22,11 +22,9 @@ from agent.verify.disagreement import (
     _turn,
     _wrenches,
     disagreement,
-    start_off,
 )
-from agent.verify.finding import Finding, Verdict
 from agent.verify.force import mean_bound_N
-from agent.verify.robustness import Walk, poses, robustness
+from agent.verify.robustness import Walk, poses
 from tests.support.arm_files import with_figures
 from tests.support.control.criterion_cells import cell_of, gentle
 from tests.support.plant.inprocess import simulate
@@ -279,57 +277,6 @@ def test_the_anchor_bears_what_the_followers_leave_to_it(anchor: int) -> None:
     cell = gentle("three_wx250s", f'controller.alignment.anchor="{names[anchor]}"')
     forces = [arm.force_N for arm in found(cell)]
     assert int(np.argmax(forces)) == anchor
-
-
-def test_what_an_arm_may_see_at_the_start_is_the_quadratic_sum_of_its_errors_without_the_skew() -> None:
-    def off(*stated: str) -> list[tuple[float, float]]:
-        cell = gentle("two_models", *EXACT, *stated)
-        models = [cell.model(a) for a in cell.arms]
-        walk = Walk(cell, models, [start_configurations(cell, models)], [0.0])
-        return start_off(cell, models, poses(walk)[0], walk.along[0])
-
-    assert off("tolerance.base_m=0.003", "tolerance.grasp_m=0.004") == [pytest.approx((5e-3, 0.0))] * 2
-    assert off("tolerance.skew_s=0.02") == [(0.0, 0.0)] * 2
-    turned = off("tolerance.base_rad=0.01")
-    assert [rad for _, rad in turned] == pytest.approx([0.01, 0.01])
-    assert min(m for m, _ in turned) > 2e-3, "of the lever"
-
-
-def start_findings(*changes: str, name: str = "two_wx200") -> list[Finding]:
-    cell = load_cell(Path(name), changes)
-    models = [cell.model(a) for a in cell.arms]
-    walk = Walk(cell, models, [start_configurations(cell, models)], [0.0])
-    return [f for f in robustness(walk).findings() if f.what == "start at the stated tolerance"]
-
-
-def test_arms_that_do_not_align_themselves_are_not_asked_for_their_start() -> None:
-    assert start_findings("controller.alignment.enabled=false") == []
-
-
-def test_of_several_arms_the_one_that_may_see_the_object_farthest_off_is_told() -> None:
-    (found,) = start_findings(name="two_models")
-    cell = load_cell(Path("two_models"))
-    models = [cell.model(a) for a in cell.arms]
-    q = start_configurations(cell, models)
-    one, other = start_off(cell, models, poses(Walk(cell, models, [q], [0.0]))[0], q)
-    assert abs(one[0] - other[0]) > 1e-4
-    assert found.found == f"{max(one[0], other[0]) * 1e3:.2g} mm, {one[1] * 1e3:.2g} mrad (quadratic sum)"
-
-
-@pytest.mark.parametrize(
-    ("change", "verdict", "wanted"),
-    [
-        ("tolerance.base_m=0.001", Verdict.OK, "≤ 20 mm, 100 mrad"),
-        ("tolerance.base_m=0.03", Verdict.WARNING, "≤ 20 mm, 100 mrad"),
-        ("tolerance.grasp_rad=0.12", Verdict.WARNING, "≤ 20 mm, 100 mrad"),
-        ("safety.start_error_max_m=0.004", Verdict.WARNING, "≤ 4 mm, 100 mrad"),
-    ],
-)
-def test_a_tolerance_with_which_an_arm_may_not_be_let_go_is_warned_of(
-    change: str, verdict: Verdict, wanted: str
-) -> None:
-    (found,) = start_findings(change)
-    assert (found.verdict, found.wanted) == (verdict, wanted)
 
 
 def test_in_the_mean_a_run_may_press_by_a_newton_in_a_plane_and_by_four_elsewhere_half_of_the_sum() -> None:
