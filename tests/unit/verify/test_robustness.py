@@ -226,22 +226,30 @@ def test_the_slow_creep_of_alignment_is_no_instability() -> None:
     assert found.robustness.criterion.worst[Demand.ALIGNING].radius > found.robustness.criterion.radius
 
 
-def aligning_in(**radii: float) -> Finding:
-    """What is said of arms that align themselves where the worst of each demand has this radius."""
+def said_in(what: str = "stable: cell that aligns itself", **radii: float) -> Finding:
+    """What is said of arms that align themselves, or of another loop, where the worst of a demand has this radius."""
     whole = looked_at(gentle, "paper", *SERVOS, *ALIGNED).robustness
     assert whole is not None
     worst = whole.criterion.worst
     cases = tuple(Found(radii.get(d.name.lower(), f.radius), f.case) for d, f in worst.items())
     found = replace(whole, criterion=replace(whole.criterion, cases=cases)).findings()
-    return next(f for f in found if f.what == "stable: cell that aligns itself")
+    return next(f for f in found if f.what == what)
 
 
 def test_aligning_is_blamed_only_where_the_cell_is_stable_without() -> None:
     without, blamed = "unstable without aligning, too", "run away from each other; lower ready_per_s"
     for radii in ({"aligning": 1.02}, {"aligning": 1.02, "bare": 1.1}):
-        assert blamed in aligning_in(**radii).remedy
+        assert blamed in said_in(**radii).remedy
     for aligning, other, radius in ((1.046, "soft", 1.0457), (1.03, "soft", 1.04), (1.2, "rigid", 1.1)):
-        found = aligning_in(aligning=aligning, **{other: radius})
+        found = said_in(aligning=aligning, **{other: radius})
         assert found.verdict is Verdict.REFUSED
         assert without in found.remedy
         assert "ready_per_s" not in found.remedy
+
+
+def test_a_radius_is_told_beside_its_bound_and_one_below_one_is_called_slow() -> None:
+    assert said_in(aligning=1.00001).found.startswith("1.00001 (")
+    slow = said_in("stable: cell with soft grasps", soft=0.99994)
+    assert (slow.found.partition(" ")[0], slow.wanted) == ("0.99994", "≤ 0.9999")
+    assert slow.remedy.startswith("stable, but an error takes 83.3 s to fall to 37 %")
+    assert said_in("stable: cell with soft grasps", soft=1.01).remedy.startswith("on grasps this soft")

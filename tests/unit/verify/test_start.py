@@ -71,11 +71,12 @@ def test_every_error_makes_what_it_is_of_the_object_and_the_skew_makes_nothing()
     assert turned[..., 0].max() > 2e-3, "of the lever"
 
 
-def test_arms_that_do_not_align_themselves_are_not_asked_for_their_start() -> None:
-    cell = load_cell(Path("two_wx200"), ["controller.alignment.enabled=false"])
+@pytest.mark.parametrize("enabled", ["true", "false"])
+def test_only_arms_that_align_themselves_are_asked_for_their_start(enabled: str) -> None:
+    cell = load_cell(Path("two_wx200"), [f"controller.alignment.enabled={enabled}"])
     models = [cell.model(a) for a in cell.arms]
     found = robustness(Walk(cell, models, [start_configurations(cell, models)], [0.0])).findings()
-    assert not any(f.what == "start at the stated tolerance" for f in found)
+    assert [f.where for f in found if f.what == "start at the stated tolerance"] == ["cell"] * (enabled == "true")
 
 
 def test_of_several_arms_the_one_that_sees_the_object_farthest_off_is_told() -> None:
