@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import pinocchio as pin
 
 from drivers.interface import Vector
@@ -70,6 +71,15 @@ class Chain:
         self.data.oa = self._no_acceleration  # what the last call left here would enter this one
         a: Vector = pin.lcaba(self.model, self.data, q, v, tau, self.grasps, self.states, self.proximal)
         return a
+
+    def jump(self, q: Vector, v: Vector, given: Vector, rotor_inertia: Vector) -> Vector:
+        """Change (nv,) of the velocities by momenta (J,) N·m·s given to the joints at once, which have these rotors."""
+        tau = np.zeros(self.model.nv)
+        self.model.armature[: len(given)] = rotor_inertia
+        before = self.acceleration(q, v, tau).copy()
+        tau[: len(given)] = given
+        changed: Vector = self.acceleration(q, v, tau) - before
+        return changed
 
 
 def _views(arm: int, state: pin.RigidConstraintData) -> GraspState:

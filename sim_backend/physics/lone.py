@@ -15,6 +15,7 @@ import pinocchio as pin
 from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
 from sim_backend.physics.free_arm import FreeArms
+from sim_backend.physics.gears import gears
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.spec import PlantSpec, diverged
 from sim_backend.physics.stops import EndStops
@@ -31,7 +32,7 @@ class LoneArm:
         self.name = alone.arms[0].name
         self.substep_s = spec.substep_s
         self.servos = Servos([alone.arms[0].actuator])
-        self._dry = dry_friction(alone)
+        self._dry, self._gears = dry_friction(alone), gears(alone)
         self._free, self._touched = FreeArms(alone), FreeArms(alone)
         self._rotor_inertia = np.array(self._free.model.armature)
         self.q: Vector = np.array(alone.arms[0].q_start)
@@ -65,10 +66,14 @@ class LoneArm:
 
     def advance(self, tau_Nm: Vector) -> None:
         """Let one substep pass under motor commands (n,).  Raises PlantError when the motion is no longer finite."""
-        h, dq, model = self.substep_s, self.dq, self._free.model
+        if self._gears is not None and self._gears.meets:
+            self.dq = self.dq + self._gears.meet(self.dq, self._jump)[0]
+        h, dq, model, geared = self.substep_s, self.dq, self._free.model, self._gears
         self.servos.command(tau_Nm)
         q_mid, dq_mid = self.q + 0.5 * h * dq, dq + 0.5 * h * self._a
-        motor = self.servos.motor_torque(dq)
+        motor = given = self.servos.motor_torque(dq if geared is None else geared.speed)
+        if geared is not None:
+            motor = geared.passed(given)
         if self._dry is None:
             friction, constant = self.servos.friction_coefficient(dq_mid), np.zeros_like(dq)
         else:
@@ -77,16 +82,27 @@ class LoneArm:
         stops = self._stops.torque(self.q)
         if stops is not None:
             friction, constant = friction + stops[0], constant + stops[1]
-        model.armature = self._rotor_inertia + 0.5 * h * friction
+        if geared is None:
+            model.armature = self._rotor_inertia + 0.5 * h * friction
+        else:
+            model.armature = geared.inertia + geared.ahead_s * friction
         tau = motor + constant - friction * dq + self._touch(q_mid)
         self._a = np.array(pin.aba(model, self._free.data, q_mid, dq_mid, tau))
         self.dq = dq + h * self._a
         self.q = q_mid + 0.5 * h * self.dq
         self.t += h
+        if geared is not None:
+            geared.step(given, self.dq, self._a)
         if self._dry is not None:
             self._dry.step(self.dq - 0.5 * h * self._a)
         if not math.isfinite(float(self.dq.dot(self.dq))):
             raise diverged(f"the motion of arm {self.name} on its own", self.t)
+
+    def _jump(self, given: Vector) -> Vector:
+        """Change (n,) of its speeds by momenta (n,) N·m·s that are given to its joints at once."""
+        assert self._gears is not None
+        M = self._touched.terms(self.q, self.dq)[0] + np.diag(self._gears.added)
+        return np.asarray(np.linalg.solve(M, given), dtype=np.float64)
 
     def _touch(self, q: Vector) -> Vector:
         """Joint torques (n,) of what pushes at the end effector."""

@@ -27,6 +27,10 @@ class GraspMeter:
         self._sum += torque_Nm
         self._count += 1
 
+    def blow(self, momentum: Vector, substep_s: float) -> None:
+        """Momenta (J,) N·m·s that the grasps gave at once, at the begin of a substep."""
+        self._sum += momentum / substep_s
+
     def take(self) -> Vector:
         """Mean (J,) N·m since the last call; zeros where no substep has passed, as on a support."""
         mean: Vector = self._sum / max(1, self._count)
@@ -47,3 +51,7 @@ class ChainGrasps(GraspMeter):
         """One substep at q, v with accelerations a; armature (J,) and torques τ (J,) as the chain had them."""
         needed = pin.rnea(self._model, self._data, q, v, a)
         self.add(needed + (armature - self._rotor_inertia) * a - tau_Nm)
+
+    def strike(self, q: Vector, dv: Vector, added: Vector, given: Vector, substep_s: float) -> None:
+        """Teeth that met at q before a substep: speeds changed by dv, rotors counted less by `added`, motors gave."""
+        self.blow(pin.crba(self._model, self._data, q).dot(dv) + added * dv - given, substep_s)

@@ -21,6 +21,7 @@ for 100 s with the friction of the servos, h = 1 ms: grasps within 4 µm.
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -31,7 +32,7 @@ from sim_backend.physics.actuator import Servos
 from sim_backend.physics.calendar import Calendar
 from sim_backend.physics.chain import Chain
 from sim_backend.physics.composition import check_start
-from sim_backend.physics.gears import gears
+from sim_backend.physics.gears import Gears, gears
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import ChainGrasps
 from sim_backend.physics.snapshot import Observation, Snapshot
@@ -102,6 +103,8 @@ class Plant:
         The caller answers for its agreement with the grasps; what disagrees is taken out by the stabilisation.
         """
         self._v[:] = self._v_mid[:] = v
+        if self._gears is not None:
+            self._gears.along(self.dq)
         self._q_mid = pin.integrate(self._chain.model, self._q, -self._half * self._v)
 
     def advance(self, tau_cmd_Nm: Vector, substeps: int) -> None:
@@ -115,7 +118,7 @@ class Plant:
     def _integrate(self, tau_cmd_Nm: Vector, substeps: int) -> None:
         J, h, half, half_joint = self.joint_count, self._h, self._half, self._half[: self.joint_count]
         servos, model, acceleration = self.servos, self._chain.model, self._chain.acceleration
-        rotor_inertia, armature = self._rotor_inertia, self._armature
+        rotor_inertia, armature, ahead = self._rotor_inertia, self._armature, half_joint
         q_mid, v, v_mid, tau, scratch = self._q_mid, self._v, self._v_mid, self._tau, self._scratch
         dq, dq_mid, tau_joint, scratch_joint = v[:J], v_mid[:J], tau[:J], scratch[:J]
         integrate, multiply, add, subtract = pin.integrate, np.multiply, np.add, np.subtract
@@ -123,18 +126,24 @@ class Plant:
         servos.command(tau_cmd_Nm)
         with np.errstate(all="ignore"):  # what overflows is refused below, with more to say than numpy has
             for _ in range(substeps):
-                q_mid = integrate(model, q_mid, multiply(v, h, scratch))
-                motor = servos.motor_torque(dq)
-                if geared is not None:
-                    motor = geared.passed(motor, dq)
+                if geared is None:
+                    q_mid = integrate(model, q_mid, multiply(v, h, scratch))
+                    motor = servos.motor_torque(dq)
+                else:
+                    q_mid = (
+                        self._meet(q_mid, geared) if geared.meets else integrate(model, q_mid, multiply(v, h, scratch))
+                    )
+                    given = servos.motor_torque(geared.speed)
+                    motor, rotor_inertia, ahead = geared.passed(given), geared.inertia, geared.ahead_s
+                    np.copyto(armature, rotor_inertia)
                 if dry is not None:
                     dry.load(motor)
                     friction, constant = dry.torque(dq)
-                    add(rotor_inertia, multiply(friction, half_joint, scratch_joint), armature)
+                    add(rotor_inertia, multiply(friction, ahead, scratch_joint), armature)
                     tau_joint[:] = motor + constant - friction * dq
                 elif servos.has_friction:
                     friction = servos.friction_coefficient(dq_mid)
-                    add(rotor_inertia, multiply(friction, half_joint, scratch_joint), armature)
+                    add(rotor_inertia, multiply(friction, ahead, scratch_joint), armature)
                     subtract(motor, multiply(friction, dq, scratch_joint), tau_joint)
                 else:
                     tau_joint[:] = motor
@@ -146,14 +155,29 @@ class Plant:
                 add(v, multiply(a, h, scratch), v)
                 if dry is not None:
                     mean = dq - half_joint * a[:J]
-                    self._tau_dry = constant - friction * mean
+                    acted = mean if geared is None else dq - (h[:J] - ahead) * a[:J]
+                    self._tau_dry = constant - friction * acted
                     dry.step(mean)
+                if geared is not None:
+                    geared.step(given, dq, a[:J])
                 add(v, multiply(a, half, v_mid), v_mid)
             self._q_mid, self._q = q_mid, integrate(model, q_mid, multiply(v, half, scratch))
-        np.copyto(self._tau_motor, servos.motor_torque(dq))
+        np.copyto(self._tau_motor, servos.motor_torque(dq if geared is None else geared.speed))
         self._substeps += substeps
         if not math.isfinite(v.dot(v)):
             raise diverged("the motion of the plant", self.t)
+
+    def _meet(self, q_mid: Vector, gears: Gears) -> Vector:
+        """Middle of the next substep, after q_mid of the last one and teeth that meet between the two."""
+        chain, J, v = self._chain, self.joint_count, self._v
+        q = pin.integrate(chain.model, q_mid, self._half * v)
+        dv, given = gears.meet(v[:J], lambda given: chain.jump(q, v, given, gears.inertia))
+        if self._meter is not None:
+            self._meter.strike(q[:J], dv[:J], gears.added, given, self.spec.substep_s)
+        v += dv
+        self._v_mid += dv
+        q_next: Vector = pin.integrate(chain.model, q, self._half * v)
+        return q_next
 
     def rest(self, substeps: int) -> None:
         """Let time pass while the cell rests on a support."""
@@ -179,20 +203,29 @@ class Plant:
     def snapshot(self, tau_cmd_Nm: Vector) -> Snapshot:
         """What `observe` would say now, at the cost of a copy; asking it takes as long as several substeps."""
         t, q, v, tau_cmd_Nm = self.t, self._q, self._v.copy(), tau_cmd_Nm.copy()
-        tau_dry, push = self._tau_dry, self._push.copy() if self._pushed else None
-        self._kept = Snapshot(lambda: self._observation(t, q, v, tau_cmd_Nm, tau_dry, push))
+        tau_dry, push, geared = self._tau_dry, self._push.copy() if self._pushed else None, copy.copy(self._gears)
+        self._kept = Snapshot(lambda: self._observation(t, q, v, tau_cmd_Nm, tau_dry, push, geared))
         return self._kept
 
     def _observation(
-        self, t: float, q: Vector, v: Vector, tau_cmd_Nm: Vector, tau_dry: Vector, push: Vector | None
+        self,
+        t: float,
+        q: Vector,
+        v: Vector,
+        tau_cmd_Nm: Vector,
+        tau_dry: Vector,
+        push: Vector | None,
+        geared: Gears | None,
     ) -> Observation:
         J, chain, servos = self.joint_count, self._observer, self.servos
         dq = v[:J].copy()
         servos.command(tau_cmd_Nm)
-        tau_motor = servos.motor_torque(dq).copy()
+        tau_motor = servos.motor_torque(dq if geared is None else geared.speed).copy()
         tau_friction = -servos.friction_coefficient(dq) * dq if self._dry is None else tau_dry.copy()
         tau = np.zeros(len(v))
-        np.add(tau_motor, tau_friction, tau[:J])
+        np.add(tau_motor if geared is None else geared.passed(tau_motor), tau_friction, tau[:J])
+        if geared is not None:
+            chain.model.armature[:J] = geared.inertia
         if push is not None:
             tau[J:] = _in_object_axes(push, q)
         chain.acceleration(q, v, tau)
@@ -216,7 +249,8 @@ class Plant:
             tau_applied=tau_motor,
             tau_friction=tau_friction,
             energy=pin.computeKineticEnergy(chain.model, chain.data, q, v)
-            + pin.computePotentialEnergy(chain.model, chain.data, q),
+            + pin.computePotentialEnergy(chain.model, chain.data, q)
+            + (0.0 if geared is None else geared.energy),
         )
 
     def _grasp_state(self, R_world_object: Vector) -> tuple[Vector, Vector, Vector]:

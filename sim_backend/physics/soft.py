@@ -107,6 +107,8 @@ class SoftPlant:
         self._arrive()
         J, R = self.joint_count, self._T.rotation
         self._v[:] = np.concatenate([v[:J], R @ v[J : J + 3], R @ v[J + 3 :]])
+        if self._gears is not None:
+            self._gears.along(self.dq)
         self._linearise()
 
     def _linearise(self) -> None:
@@ -147,7 +149,7 @@ class SoftPlant:
                 self._left -= 1
                 if self._pads.slips:
                     self._slip()
-        np.copyto(self._tau_motor, self.servos.motor_torque(self._dq))
+        np.copyto(self._tau_motor, self.servos.motor_torque(self._dq if self._gears is None else self._gears.speed))
         self._substeps += substeps
         if not float(self._v.dot(self._v)) < FASTEST**2:
             raise diverged("the motion of the plant", self.t)
@@ -155,13 +157,18 @@ class SoftPlant:
     def _substep(self) -> None:
         """One substep on the present linearisation; `_pull` carries c + Gᵀ K (φ − s) along."""
         J, v, A, b, dq, half = self.joint_count, self._v, self._A, self._b, self._dq, self._half
-        motor = self.servos.motor_torque(dq)
-        if self._gears is not None:
-            motor = self._gears.passed(motor, dq)
+        gears = self._gears
+        if gears is not None and gears.meets:
+            v += gears.meet(dq, self._jump)[0]
+        motor = given = self.servos.motor_torque(dq if gears is None else gears.speed)
+        if gears is not None:
+            motor = gears.passed(given)
         D, f = self._friction(motor, dq)
         np.copyto(A, self._A0)
-        np.multiply(D, half[:J], self._joint)
+        np.multiply(D, half[:J] if gears is None else gears.ahead_s, self._joint)
         self._diagonal += self._joint
+        if gears is not None:
+            self._diagonal += gears.added
         np.dot(self._drag, v, b)
         np.add(b, self._pull, b)
         np.subtract(motor, np.multiply(D, dq, self._joint), self._joint)
@@ -178,9 +185,20 @@ class SoftPlant:
         self._acted = D, f
         if self._meter is not None:  # _joint holds τ_motor + f − D v; the acceleration is −2 step / h
             pulled = self._M[:J].dot(step) * (-2.0 / self._h) + self._c[:J]
+            if gears is not None:
+                pulled -= (gears.added + D * (gears.ahead_s - half[:J])) * step[:J] * (2.0 / self._h)
             self._meter.add(pulled - self._joint - D * step[:J])
+        if gears is not None:
+            gears.step(given, dq, step[:J] * (-2.0 / self._h))
         if self._dry is not None:
             self._dry.step(mean[:J])
+
+    def _jump(self, given: Vector) -> Vector:
+        """Change of v by momenta (J,) that are given to the joints at once, in which pads take no part."""
+        assert self._gears is not None
+        J, dv = self.joint_count, np.zeros_like(self._v)
+        dv[:J] = np.linalg.solve(self._M[:J, :J] + np.diag(self._gears.added), given)
+        return dv
 
     def _friction(self, motor: Vector, dq: Vector) -> tuple[Vector, Vector | None]:
         """(D, f), each (J,): the friction torque is −D (dq + dq⁺)/2 + f; no f: zero."""
@@ -235,7 +253,10 @@ class SoftPlant:
         self.servos.command(tau_cmd_Nm)
         W = pads.closed * (pads.K * (self._phi - pads.slipped) + pads.C * self._openings.G.dot(v).reshape(-1, 6))
         gap_m, gap_rad = self._openings.gaps(self._phi, pads.closed)
-        potential = self._arms.potential(self._q) + self._body.potential(self._T)
+        potential, gears = self._arms.potential(self._q) + self._body.potential(self._T), self._gears
+        energy = 0.5 * float(v @ self._M @ v) + potential + pads.energy(self._phi)
+        if gears is not None:
+            energy += 0.5 * float(gears.added @ dq**2) + gears.energy
         return Observation(
             t=self.t,
             p_object=self._T.translation.copy(),
@@ -248,9 +269,9 @@ class SoftPlant:
             slip_rad=pads.slip_rad,
             q=self._q.copy(),
             dq=dq,
-            tau_applied=self.servos.motor_torque(dq).copy(),
+            tau_applied=self.servos.motor_torque(dq if gears is None else gears.speed).copy(),
             tau_friction=friction if f is None else friction + f,
-            energy=0.5 * float(v @ self._M @ v) + potential + pads.energy(self._phi),
+            energy=energy,
         )
 
     def push(self, wrench_world: Vector) -> None:
@@ -263,34 +284,6 @@ class SoftPlant:
         self._pads.open(self.spec.names.index(arm))
         self._left = 0
         self._openings.keep(self._pads.closed)
-
-    def take_hold(self, arm: int) -> None:
-        """Close the grasp of one arm (its place) as it stands: its pad is not stretched."""
-        self._arrive()
-        self._pads.close(arm)
-        self._openings.close(arm)
-        self._linearise()  # the opening of a grasp that was open is known from here on
-        self._pads.rest_at(arm, self._phi[arm], self._T.rotation)
-        self._linearise()
-
-    def let_go(self, q: Vector, T_world_object: pin.SE3) -> None:
-        """Open all grasps, and stand with the arms at q (J,) and the object at its pose, all at rest."""
-        for name in self.spec.names:
-            self.release(name)
-        self._behind = False
-        self._q, self._T = np.array(q), pin.SE3(T_world_object)
-        self._v[:] = 0.0
-        self._linearise()
-
-    def end_effector(self, arm: int) -> pin.SE3:
-        """True pose of the end effector of an arm (its place)."""
-        self._arrive()
-        return self._arms.pose(arm, self._q)
-
-    @property
-    def object_twist(self) -> Vector:
-        """True twist (6,) of the object's frame, world axes: a view."""
-        return self._v[self.joint_count :]
 
     def brake(self, arm: str, viscous_Nms_rad: float | Vector) -> None:
         """Replace the viscous friction of one arm's joints: large for a seized gear, its own value to let go again."""

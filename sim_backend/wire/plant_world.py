@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.build import AnyPlant, build_plant
-from sim_backend.physics.soft import SoftPlant
+from sim_backend.physics.handled import HandledPlant
 from sim_backend.physics.spec import PlantError, PlantSpec
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
@@ -94,7 +94,7 @@ def emulate_whole(
 
     Raises PlantError (GraspError) when the plant cannot be built, or an arm has no gripper.
     """
-    world = WholeWorld(SoftPlant(without_servo_electronics(spec)), whole)
+    world = WholeWorld(HandledPlant(without_servo_electronics(spec)), whole)
     emulated = [EmulatedArm(wiring, timing=timing) for wiring in arms]
     grippers = [arm.gripper for arm in emulated]
     found = [gripper for gripper in grippers if gripper is not None]

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from drivers.fingers import Fingers
 from drivers.interface import Vector
-from sim_backend.physics.soft import SoftPlant
+from sim_backend.physics.handled import HandledPlant
 from sim_backend.physics.spec import PlantError
 from sim_backend.physics.support import Support
 from sim_backend.wire.coupled_world import CoupledWorld
@@ -50,7 +50,7 @@ class WholeSpec:
 class WholeWorld(CoupledWorld):
     """The plant with open grasps, a support and grippers; a `sim_backend.wire.world.JointWorld`."""
 
-    def __init__(self, plant: SoftPlant, whole: WholeSpec) -> None:
+    def __init__(self, plant: HandledPlant, whole: WholeSpec) -> None:
         if not float(np.abs(plant.spec.gravity).max()):
             raise PlantError("gravity", found="none", expected="some", remedy="a run from rest to rest needs a support")
         super().__init__(plant)

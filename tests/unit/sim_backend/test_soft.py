@@ -14,6 +14,7 @@ from drivers.pads import swinging_inertia
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.composition import arm_model, frame_number
 from sim_backend.physics.friction import FrictionSpec
+from sim_backend.physics.handled import HandledPlant
 from sim_backend.physics.plant import Plant
 from sim_backend.physics.soft import SoftPlant
 from sim_backend.physics.spec import GraspError, GraspSpec, PlantError, PlantSpec
@@ -392,7 +393,8 @@ def test_an_arm_swings_with_its_inverse_mean_mobility_and_not_at_all_where_it_ha
 
 def test_a_grasp_that_closes_as_it_was_holds_as_if_it_had_not_opened(cell: Callable[..., PlantSpec]) -> None:
     spec = cell(viscous(len(cell().arms[0].controlled)))
-    held, taken = (soft(spec, GraspSpec(3e3, 20.0, damping_ratio=1.0)) for _ in range(2))
+    spec = replace(spec, grasp=GraspSpec(3e3, 20.0, damping_ratio=1.0))
+    held, taken = SoftPlant(spec), HandledPlant(spec)
     taken.release(spec.names[0])
     taken.take_hold(0)
     tau, _ = holding_torque(spec)
