@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -11,6 +12,7 @@ import numpy as np
 from drivers.interface import Vector
 
 Wrench = tuple[float, float, float, float, float, float]
+WHOLE: Final = 1e-6  # of a substep: an instant so near to the begin of one is that
 SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
 
 
@@ -66,26 +68,38 @@ class Befallen(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A wrench that acts from the begin of one substep to that of another."""
+
+    begin: int
+    end: int
+    wrench: Vector  # (6,) N, N·m
+
+
 class Calendar:
     """Times in substeps; what falls on one and the same instant happens in the order given, and pushes add up.
+
+    In a substep that a push does not fill its wrench is smaller by as much, so that every push has its impulse.
 
     All of it may come later than planned, or wait until that is known.  Of arms that go limp it only says which are:
     their torque is with whoever tells it to the plant.
     """
 
     def __init__(self, happenings: Sequence[Happening], substep_s: float) -> None:
-        due: list[tuple[int, Vector | Opening | Seizure]] = []
+        due: list[tuple[int, _Part | Opening | Seizure]] = []
         self._limp: list[tuple[int, str]] = []
         for one in happenings:
             begin = round(one.at_s / substep_s)
             if isinstance(one, Limpness):
                 self._limp.append((begin, one.arm))
             elif isinstance(one, Push):
-                wrench = np.array(one.wrench)
-                due += [(begin, wrench), (round((one.at_s + one.duration_s) / substep_s), -wrench)]
+                for part in _parts(one, substep_s):
+                    due += [(part.begin, part), (part.end, part)]
             else:
                 due.append((begin, one))
         self._due = sorted(due, key=lambda entry: entry[0])
+        self._acting: list[_Part] = []
         self.wrench: Vector = np.zeros(6)  # of all pushes that act now
         self._substep_s = substep_s
         self._later: int | None = 0  # substeps; None: nobody knows yet
@@ -114,11 +128,34 @@ class Calendar:
             yield until - now
             now = until
 
-    def _happen(self, plant: Befallen, what: Vector | Opening | Seizure) -> None:
+    def _happen(self, plant: Befallen, what: _Part | Opening | Seizure) -> None:
         if isinstance(what, Opening):
             plant.release(what.arm)
         elif isinstance(what, Seizure):
             plant.brake(what.arm, SEIZED_Nms_RAD)
         else:
-            self.wrench = self.wrench + what
+            if what in self._acting:
+                self._acting.remove(what)
+            else:
+                self._acting.append(what)
+            self.wrench = sum((part.wrench for part in self._acting), np.zeros(6))
             plant.push(self.wrench)
+
+
+def _parts(push: Push, substep_s: float) -> list[_Part]:
+    """A push in whole substeps: in the first and the last of them as much as it covers of each."""
+    begin, end = (_whole(t / substep_s) for t in (push.at_s, push.at_s + push.duration_s))
+    wrench, first, last = np.array(push.wrench), math.ceil(begin), math.floor(end)
+    if last < first:  # within one substep
+        return [_Part(last, first, (end - begin) * wrench)]
+    parts = [
+        _Part(first - 1, first, (first - begin) * wrench),
+        _Part(first, last, wrench),
+        _Part(last, last + 1, (end - last) * wrench),
+    ]
+    return [part for part in parts if part.begin < part.end and part.wrench.any()]
+
+
+def _whole(substeps: float) -> float:
+    near = round(substeps)
+    return near if abs(substeps - near) < WHOLE else substeps

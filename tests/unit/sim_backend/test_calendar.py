@@ -62,6 +62,52 @@ def test_everything_happens_at_its_substep_and_pushes_add_up() -> None:
     assert told.advance(calendar, 5) == [5]
 
 
+def told_of(push: Push, substeps: int = 20) -> list[float]:
+    """Force along x in each substep."""
+    told, calendar, forces = Told(), Calendar([push], 1e-3), []
+    for _ in range(substeps):
+        told.advance(calendar, 1)
+        forces.append(float(calendar.wrench[0]))
+        assert not told.seen or told.seen[-1][1] == calendar.wrench.tolist()
+    return forces
+
+
+@pytest.mark.parametrize(
+    ("at_s", "duration_s", "shares"),
+    [
+        (0.002, 0.0004, {2: 0.4}),
+        (0.0022, 0.0006, {2: 0.6}),
+        (0.0027, 0.0006, {2: 0.3, 3: 0.3}),
+        (0.0027, 0.0003, {2: 0.3}),
+        (0.002, 0.0015, {2: 1.0, 3: 0.5}),
+        (0.0025, 0.003, {2: 0.5, 3: 1.0, 4: 1.0, 5: 0.5}),
+        (0.002, 0.002, {2: 1.0, 3: 1.0}),
+        (0.0, 0.001, {0: 1.0}),
+    ],
+)
+def test_a_substep_that_a_push_does_not_fill_has_its_share(
+    at_s: float, duration_s: float, shares: dict[int, float]
+) -> None:
+    forces = told_of(Push(at_s, duration_s, (10.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    assert forces == pytest.approx([10.0 * shares.get(k, 0.0) for k in range(20)])
+    assert sum(forces) * 1e-3 == pytest.approx(10.0 * duration_s)
+    assert [force for k, force in enumerate(forces) if k not in shares] == [0.0] * (20 - len(shares))
+
+
+def test_instants_that_are_whole_substeps_but_for_rounding_are_that() -> None:
+    for at_s in (0.003, 3e-3 + 1e-12, 3e-3 - 1e-12):
+        told = Told()
+        told.advance(Calendar([Push(at_s, 0.004, FORCE)], 1e-3), 20)
+        assert told.seen == [(3, list(FORCE)), (7, [0.0] * 6)]
+
+
+def test_of_pushes_that_overlap_nothing_is_left_over_when_the_last_has_ended() -> None:
+    some = [Push(1e-3 * k, 3.3e-3 + 1e-3 * k, (0.1 * k, 0.7, 1.1, 0.3, 0.1, 0.0)) for k in range(4)]
+    told, calendar = Told(), Calendar(some, 1e-3)
+    told.advance(calendar, 20)
+    assert told.seen[-1] == (10, [0.0] * 6)
+
+
 def test_a_seized_joint_creeps_by_five_milliradians_a_second_for_a_newton_metre() -> None:
     told = Told()
     told.advance(Calendar([Seizure(0.001, "left")], 1e-3), 2)
@@ -117,6 +163,16 @@ def test_a_push_gives_the_object_that_is_let_go_its_momentum(spec: PlantSpec) ->
     np.testing.assert_allclose(seen.v_object[:3], np.array(FORCE[:3]) * 0.1 / spec.object.mass_kg, rtol=1e-5)
     assert seen.v_object[5] == pytest.approx(FORCE[5] * 0.1 / spec.object.inertia[2, 2], rel=1e-5)
     assert np.isnan(seen.contact_error_m).all()
+
+
+@pytest.mark.parametrize("spec", specs(), ids=["welds", "pads"])
+@pytest.mark.parametrize(("force_N", "duration_s"), [(3.0, 4e-4), (3.0, 6e-4), (1.0, 1.5e-3), (0.3, 0.0333)])
+def test_a_push_of_any_length_gives_its_impulse(spec: PlantSpec, force_N: float, duration_s: float) -> None:
+    push = Push(0.002, duration_s, (force_N, 0.0, 0.0, 0.0, 0.0, 0.0))
+    plant = build_plant(replace(spec, happenings=(Opening(0.0, "left"), Opening(0.0, "right"), push)))
+    plant.advance(np.zeros(6), 50)
+    given = spec.object.mass_kg * float(plant.observe(np.zeros(6)).v_object[0])
+    assert given == pytest.approx(force_N * duration_s, rel=1e-4)
 
 
 @pytest.mark.parametrize("spec", specs(), ids=["welds", "pads"])
