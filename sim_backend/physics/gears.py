@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.interface import Vector
 from sim_backend.physics.spec import PlantSpec
@@ -37,13 +38,13 @@ class Gears:
         loose = backlash_rad > 0.0
         self._half = 0.5 * backlash_rad
         self._J: Vector = np.where(loose, np.maximum(rotor_inertia, LEAST_INERTIA), rotor_inertia)
-        self._per_J: Vector = np.where(loose, 1.0, 0.0) / np.where(loose, self._J, 1.0)
+        self._per_J: Vector = 1.0 / np.maximum(self._J, LEAST_INERTIA)
         self._rotor_inertia, self._h = rotor_inertia, substep_s
         self.x: Vector = np.zeros(len(backlash_rad))  # motor ahead of joint, rad
         self.speed: Vector = np.zeros(len(backlash_rad))  # of the motors, rad/s
         self._pushes: Vector = np.zeros(len(backlash_rad))  # of the motors in a substep, N·m·s
         self._meshed = ~loose
-        self._meeting = np.zeros(len(backlash_rad), dtype=bool)
+        self._meeting: NDArray[np.bool_]  # the same, joint by joint, where there are any
         self.meets = False  # any teeth, at the begin of the next substep
         self._share()
 

@@ -76,6 +76,13 @@ _ARRAYS = "_arrays: tuple[Matrix, ...] = field(init=False, repr=False, compare=F
 _RANK = "if not sigma[-1] > SINGULAR * sigma[0]:"
 
 CONTROL: Entries = {
+    "sim_backend.physics.gears": {
+        (
+            "Gears.meet",
+            "for _ in range(len(dq) + 1):",
+            "for _ in range(len(dq) + 2):",
+        ): "no more rounds than teeth and one",
+    },
     "agent.control.adaptive": {
         ("torque", _TASK, _TASK.replace("len(P) == 6", "False")): _IDENTITY,
         ("torque", _TASK, _TASK.replace("6", "7")): _IDENTITY,

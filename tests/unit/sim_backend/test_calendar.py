@@ -12,7 +12,7 @@ from agent.config.cell import ConfigError, load_cell
 from agent.process.simulated import plant_spec
 from drivers.interface import Vector
 from sim_backend.physics.build import build_plant
-from sim_backend.physics.calendar import Calendar, Limpness, Opening, Push, SEIZED_Nms_RAD, Seizure
+from sim_backend.physics.calendar import WHOLE, Calendar, Limpness, Opening, Push, SEIZED_Nms_RAD, Seizure
 from sim_backend.physics.spec import GraspSpec, PlantError, PlantSpec
 from tests.support.plant.plant_cells import planar_cell
 from tests.support.starts import start_joints
@@ -99,6 +99,14 @@ def test_instants_that_are_whole_substeps_but_for_rounding_are_that() -> None:
         told = Told()
         told.advance(Calendar([Push(at_s, 0.004, FORCE)], 1e-3), 20)
         assert told.seen == [(3, list(FORCE)), (7, [0.0] * 6)]
+
+
+def test_a_push_tells_of_no_part_that_takes_no_time() -> None:
+    told, calendar = Told(), Calendar([Push(0.0027, 0.0006, (10.0, 0.0, 0.0, 0.0, 0.0, 0.0))], 1e-3)
+    assert calendar.wrench.tolist() == [0.0] * 6
+    told.advance(calendar, 20)
+    assert [at for at, _ in told.seen] == [2, 3, 3, 4]
+    assert WHOLE == 1e-6
 
 
 def test_of_pushes_that_overlap_nothing_is_left_over_when_the_last_has_ended() -> None:
