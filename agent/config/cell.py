@@ -12,8 +12,9 @@ import pinocchio as pin
 import configs
 from agent.config import adaptive
 from agent.config.files import ArmFiles, CellFiles, files_from_toml, load_arm_file, load_files
-from agent.config.friction import joint_friction
+from agent.config.friction import joint_friction, unfiled
 from agent.config.reading import ConfigError
+from agent.config.schema.cell import CellFile
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.member import Arm as ArmEntry
 from agent.config.schema.tolerance import PLANAR_JOINTS
@@ -162,4 +163,23 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
 
 def _cell(files: CellFiles) -> Cell:
     arms = tuple(Arm(a.entry, a.file, a.toml, a.urdf_xml, a.servos, a.own_urdf) for a in files.arms)
+    for arm in arms:
+        _require_breakaway(files.file, arm)
     return Cell(files.file, arms, files.toml, files.fingerprint)
+
+
+def _require_breakaway(file: CellFile, arm: Arm) -> None:
+    """Refuse a speed over which an arm's breakaway falls off that has none.  Raises ConfigError."""
+    reality = file.simulation.reality
+    real = None if reality is None else reality.arms.get(arm.name)
+    if reality is None or real is None or real.stribeck_rad_per_s is None or real.breakaway_Nm:
+        return
+    filed = any(joint.breakaway_Nm or joint.breakaway_load for joint in map(joint_friction, arm.servos))
+    drawn = reality.seed is not None and unfiled(file.tolerance, arm.servos)[0] > 0.0
+    if not (filed or drawn):
+        raise ConfigError(
+            f"simulation.reality.arms.{arm.name}.stribeck_rad_per_s",
+            found=f"{real.stribeck_rad_per_s:g}, of no breakaway",
+            expected="breakaway that falls off over it, here or in the arm file",
+            remedy="give breakaway_Nm as well, or leave it out",
+        )  # fmt: skip

@@ -20,6 +20,7 @@ from sim_backend.physics.spec import ArmSpec, GraspSpec, PlantError, PlantSpec
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
+STRIBECK_RAD_PER_S = 1.0  # of breakaway that nothing else is known of
 _SCALED_FRICTION = frozenset({"coulomb_Nm", "breakaway_Nm", "load", "breakaway_load", "viscous_Nms_rad"})
 
 
@@ -37,7 +38,7 @@ class ArmReality:
     friction: float = 1.0  # of the joints, times what is believed
     joint_friction: tuple[float, ...] = ()  # times that again, of each joint
     breakaway_Nm: tuple[float, ...] = ()  # above Coulomb friction at rest, whatever is believed
-    stribeck_rad_per_s: float = 1.0  # over which that falls off
+    stribeck_rad_per_s: float | None = None  # over which breakaway falls off; None: STRIBECK_RAD_PER_S of its own
     load_friction: tuple[float, ...] = ()  # per N·m of the motor, whatever is believed
     torque_constant: tuple[float, ...] = ()  # of the servos, times what is believed
     backlash_rad: tuple[float, ...] = ()  # of the gears, from one end of the gap to the other
@@ -142,7 +143,15 @@ def _each(factors: tuple[float, ...]) -> Vector | float:
 
 
 def _friction(arm: ArmSpec, real: ArmReality) -> FrictionSpec | None:
-    """With presliding where its joints are believed to stick, or do."""
+    """With presliding where its joints are believed to stick, or do.  Raises PlantError."""
+    believed, speed = arm.friction, real.stribeck_rad_per_s
+    falls = believed is not None and bool(np.any(believed.breakaway_Nm) or np.any(believed.breakaway_load))
+    if speed is not None and not (real.breakaway_Nm or falls):
+        raise PlantError(
+            f"reality of arm {arm.name}: stribeck_rad_per_s", found=f"{speed:g} rad/s of no breakaway",
+            expected="breakaway that falls off over it, here or in the arm file",
+            remedy="give breakaway_Nm as well, or leave it out",
+        )  # fmt: skip
     if arm.friction is None and not (real.breakaway_Nm or real.load_friction):
         return None
     spec, times = arm.friction or FrictionSpec.smooth(arm.actuator), real.friction * _each(real.joint_friction)
@@ -151,10 +160,10 @@ def _friction(arm: ArmSpec, real: ArmReality) -> FrictionSpec | None:
     )
     own: dict[str, Vector] = {}
     if real.breakaway_Nm:
-        own |= {
-            "breakaway_Nm": np.array(real.breakaway_Nm),
-            "stribeck_rad_s": np.full(len(real.breakaway_Nm), real.stribeck_rad_per_s),
-        }
+        own["breakaway_Nm"] = np.array(real.breakaway_Nm)
+        speed = STRIBECK_RAD_PER_S if speed is None else speed
+    if speed is not None:
+        own["stribeck_rad_s"] = np.full(len(arm.controlled), speed)
     if real.load_friction:
         own["load"] = np.array(real.load_friction)
     return replace(scaled, **own)

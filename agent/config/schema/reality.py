@@ -50,8 +50,8 @@ class ArmReality(Strict):
     """Times that again, one per controlled joint; empty: alike."""
     breakaway_Nm: Annotated[tuple[Rub, ...], AS_LIST] = ()
     """Above Coulomb friction at rest, in the place of the arm file's, one per controlled joint; empty: as there."""
-    stribeck_rad_per_s: Annotated[float, Field(ge=1e-3, le=100.0)] = 1.0
-    """Speed over which that breakaway falls off."""
+    stribeck_rad_per_s: Annotated[float, Field(ge=1e-3, le=100.0)] | None = None
+    """Speed over which breakaway falls off, this or the arm file's; none: 1 of this, as there of the arm file's."""
     load_friction: Annotated[tuple[LoadPart, ...], AS_LIST] = ()
     """Per N·m of the motor, in the place of the arm file's, one per controlled joint; empty: as there."""
     torque_constant: Annotated[tuple[Times, ...], AS_LIST] = ()
@@ -130,8 +130,15 @@ class Reality(Strict):
     def require_rubbing(self) -> None:
         """Refuse friction of joints that do not rub.  Raises PydanticCustomError."""
         for name, arm in self.arms.items():
-            for key in ("breakaway_Nm", "load_friction"):
-                if any(getattr(arm, key)):
+            rubs = {
+                "friction": arm.friction != 1.0,
+                "joint_friction": any(times != 1.0 for times in arm.joint_friction),
+                "breakaway_Nm": any(arm.breakaway_Nm),
+                "stribeck_rad_per_s": arm.stribeck_rad_per_s is not None,
+                "load_friction": any(arm.load_friction),
+            }
+            for key, found in rubs.items():
+                if found:
                     raise wrong(
                         f"simulation.reality.arms.{name}.{key}", found="simulation.effects.friction = false",
                         expected="joints that rub", remedy="switch that on, or leave this out",

@@ -140,7 +140,7 @@ def test_breakaway_and_load_are_drawn_up_to_what_is_stated_each_by_itself_and_ch
     one = cell("three_wx250s", *WORN, RUBBING[1])
     (alone, plain) = (draw(x.file.tolerance, 3, x) for x in (one, cell("three_wx250s", *WORN)))
     assert [a.load_friction for a in alone.arms.values()] == [a.load_friction for a in drawn[3].arms.values()]
-    assert all(a.breakaway_Nm == () and a.stribeck_rad_per_s == 1.0 for a in alone.arms.values())
+    assert all(a.breakaway_Nm == () and a.stribeck_rad_per_s is None for a in alone.arms.values())
     free = {n: a.model_copy(update={"load_friction": ()}) for n, a in alone.arms.items()}
     assert alone.model_copy(update={"arms": free}) == plain
     made = plant_spec(cell("three_wx250s", *WORN, *RUBBING, "simulation.reality.seed=3"), start_joints(c)).arms[1]
@@ -323,6 +323,38 @@ def test_joints_that_do_not_rub_are_given_no_friction(key: str) -> None:
     with pytest.raises(Refusal, match=rf"simulation\.reality\.arms\.left\.{key}.*effects\.friction = false"):
         cell("paper", smooth, f"simulation.reality.arms.left.{key}=[0.1, 0.1, 0.1]")
     cell("paper", smooth, f"simulation.reality.arms.left.{key}=[0.0, 0.0, 0.0]")
+
+
+def test_a_stribeck_velocity_of_no_breakaway_is_refused() -> None:
+    speed = "simulation.reality.arms.left.stribeck_rad_per_s=0.2"
+    for without in ((), ("simulation.reality.seed=3",), ("tolerance.breakaway=0.5",)):
+        with pytest.raises(Refusal, match=r"arms\.left\.stribeck_rad_per_s: found 0\.2, of no breakaway"):
+            cell("paper", speed, *without)
+    own = cell("paper", speed, "simulation.reality.arms.left.breakaway_Nm=[0.1, 0.1, 0.1]")
+    drawn = cell("paper", speed, "simulation.reality.seed=3", "tolerance.breakaway=0.5")
+    for one in (own, drawn):
+        left = plant_spec(one, start_joints(one)).arms[0].friction
+        assert left is not None
+        assert left.stribeck_rad_s.tolist() == [0.2] * 3
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "nothing"),
+    [
+        ("friction", "2.0", "1.0"),
+        ("joint_friction", "[1.0, 0.9, 1.0]", "[1.0, 1.0, 1.0]"),
+        ("stribeck_rad_per_s", "0.2", ""),
+    ],
+)
+def test_factors_of_friction_that_is_switched_off_are_refused_as_well(key: str, value: str, nothing: str) -> None:
+    smooth = "simulation.effects.friction=false"
+    with pytest.raises(
+        Refusal, match=rf"arms\.left\.{key}'.*: found simulation.effects.friction = false.*leave this out"
+    ):
+        cell("paper", smooth, f"simulation.reality.arms.left.{key}={value}")
+    if nothing:
+        cell("paper", smooth, f"simulation.reality.arms.left.{key}={nothing}")
+        cell("paper", f"simulation.reality.arms.left.{key}={value}")
 
 
 @pytest.mark.parametrize(

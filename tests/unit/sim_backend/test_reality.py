@@ -188,6 +188,26 @@ def test_joints_may_stick_of_which_nobody_believes_it() -> None:
     assert realised(spec, only(spec, breakaway_Nm=(0.1, 0.1, 0.1))).arms[0].friction is not None
 
 
+def test_a_stribeck_velocity_is_that_of_any_breakaway_and_refused_without_one() -> None:
+    spec = planar_cell(SERVOS)
+
+    def sticking(breakaway: float, of_load: float) -> PlantSpec:
+        rows = np.array([0.05, breakaway, 0.1, 2.0, 0.05, of_load, 0.03])[:, None] * np.ones(3)
+        return replace(spec, arms=tuple(replace(arm, friction=FrictionSpec(*rows)) for arm in spec.arms))
+
+    for believed in (sticking(0.05, 0.0), sticking(0.0, 0.1)):
+        quick = realised(believed, only(believed, stribeck_rad_per_s=0.5)).arms[0].friction
+        assert quick is not None
+        assert quick.stribeck_rad_s.tolist() == [0.5] * 3
+        assert quick.breakaway_Nm.tolist() == believed.arms[0].friction.breakaway_Nm.tolist()  # type: ignore[union-attr]
+        kept = realised(believed, only(believed, friction=0.5)).arms[0].friction
+        assert kept is not None
+        assert kept.stribeck_rad_s.tolist() == [0.1] * 3
+    for none in (spec, sticking(0.0, 0.0)):
+        with pytest.raises(PlantError, match=r"arm left: stribeck_rad_per_s: found 0\.5 rad/s of no breakaway"):
+            realised(none, only(none, stribeck_rad_per_s=0.5))
+
+
 def test_own_breakaway_and_load_stand_in_the_place_of_what_is_believed_each_alone() -> None:
     spec = planar_cell(SERVOS)
     believed = FrictionSpec(*np.full((7, 3), 0.1))
