@@ -76,6 +76,13 @@ _ARRAYS = "_arrays: tuple[Matrix, ...] = field(init=False, repr=False, compare=F
 _RANK = "if not sigma[-1] > SINGULAR * sigma[0]:"
 
 CONTROL: Entries = {
+    "sim_backend.physics.calendar": {
+        (
+            "_whole",
+            "return near if abs(substeps - near) < WHOLE else substeps",
+            "return near if abs(substeps - near) <= WHOLE else substeps",
+        ): "no quotient of times is off by just so much",
+    },
     "sim_backend.physics.gears": {
         (
             "Gears.meet",

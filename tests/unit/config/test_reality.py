@@ -10,7 +10,7 @@ import pytest
 import tomli_w
 
 import configs
-from agent.config.cell import Cell, load_cell
+from agent.config.cell import Cell, _require_breakaway, load_cell
 from agent.config.reality import draw, reality_of
 from agent.config.schema.arm import Figure, Provenance
 from agent.config.schema.driver import DriverKind
@@ -336,6 +336,9 @@ def test_a_stribeck_velocity_of_no_breakaway_is_refused() -> None:
         left = plant_spec(one, start_joints(one)).arms[0].friction
         assert left is not None
         assert left.stribeck_rad_s.tolist() == [0.2] * 3
+    arm, figure = drawn.arms[0], drawn.arms[0].servos[2].coulomb_Nm
+    sticking = arm.servos[2].model_copy(update={"breakaway_Nm": figure, "stribeck_rad_per_s": figure})
+    _require_breakaway(drawn.file, replace(arm, servos=(*arm.servos[:2], sticking)))
 
 
 @pytest.mark.parametrize(
