@@ -96,7 +96,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
     plain, struck = plain_of(tail[plain_at:struck_at], n), struck_of(tail[struck_at:borne_at])
     found = pull_of(tail[36:plain_at]), plain, struck, borne_of(tail[borne_at:braced_at])
     factor_at = braced_at + BRACED
-    shift = _shift(tail[9:15])
+    shift, settled = _shift(tail[9:15]), tail[factor_at + 1 :]
     return Memory(
         q,
         dq,
@@ -116,9 +116,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         missed=missed,
         braced=braced_of(tail[braced_at:]),
         friction_factor=(tail[factor_at:] or [1.0])[0],  # older rows have none
-        settled=_shift(tail[factor_at + 1 :])
-        if len(tail) > factor_at + 1
-        else shift,  # of older rows nothing goes back
+        settled=_shift(settled) if settled else shift,  # of older rows nothing goes back
     )
 
 

@@ -79,5 +79,6 @@ class Gravity:
         return sentence(
             "torque at rest", f"{W[worst]:+.{n}f} {unit} {_COMPONENTS[worst]} at the object beside what the files say",
             f"at most {self._limits[worst]:.{n}f} {unit}",
-            "check gravity_m_per_s2, the object (held, alone, of the stated mass) and that this is the arm of the file",
+            "check that no neighbour is limp, gravity_m_per_s2, the object (held, alone, of the stated mass) and that "
+            "this is the arm of the file",
         )  # fmt: skip
