@@ -7,6 +7,7 @@ moves when the low-pass does, and when the loop's delay does by its own standard
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,32 +16,22 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.control.models import ArmModel
 from agent.identify.columns import Base, base_of, described_parameters
-from agent.identify.delay import Delay, measured
-from agent.identify.equations import (
-    BLOCKS_MIN,
-    Options,
-    equations,
-    friction_columns,
-    kept_samples,
-    low_pass,
-    too_short,
-)
-from agent.identify.friction import CERTAIN, Choice, Columns, Term, choose, with_friction
+from agent.identify.delay import Delay
+from agent.identify.equations import BLOCKS_MIN, Motion, Options, equations, too_short
+from agent.identify.friction import CERTAIN, LOAD, SHAPES, Choice, Shape, Term, choose, clearly_larger, with_friction
+from agent.identify.joint import LONGEST_PERIODS, Found, together
 from agent.identify.recording import IdentifyError, Recording
-from agent.identify.solve import BLOCK_S, CONDITION_MAX, Part, least_squares
+from agent.identify.solve import BLOCK_S, Part, least_squares
 from drivers.interface import Vector
 
 Matrix = NDArray[np.float64]
 
 OTHER_CUTOFF: Final = 0.6  # the second low-pass, relative to the first
-DELAY_CUTOFF: Final = 0.4  # that of the delay
-DELAY_OTHER: Final = 0.5  # the second one of the delay
-DELAY_MOTION: Final = 2.0  # of the motion beside it: joints must turn when they did, or friction passes for delay
 DELAY_ROUNDS: Final = 3
-NYQUIST: Final = 0.45  # of the rate, above which no motion is looked at
-USED_MIN: Final = 0.1  # share of the time that each joint moves fast enough, in each direction
+CONDITION_CHOICE: Final = 1e4  # of the columns of a friction model that is tried
+EXPONENTS: Final = (1.0, 2.0)
+USED_MIN: Final = 0.03  # share of the time that each joint moves fast enough, in each direction
 
 
 @dataclass(frozen=True)
@@ -58,6 +49,7 @@ class Fit:
     residual_described: Vector  # (n,) with the described parameters
     torque: Vector  # (n,) rms of the torque itself
     choice: Choice  # of the friction model
+    speed_sigma: float  # standard error of its Stribeck velocity, rad/s
     sticking: tuple[Term, ...]  # (key of the arm file, joint) of the last of `value`, behind the base's
     delay: Delay | None  # of the loop
 
@@ -82,61 +74,99 @@ def _fit(recording: Recording, options: Options) -> Fit:
     """Identify the arm with the delay that the recording says."""
     model = recording.cell.model(recording.arm)
     base = base_of(model)
+    motion = Motion.of(recording, options)
     train, held_out = _split(equations(recording, model, base, options), options.held_out)
     _refuse_too_little(train, base, recording, options)
-    friction = friction_columns(recording, options)
-    choice = choose(train.columns, train.tau, train.used, friction.some(slice(len(train.t))), CONDITION_MAX)
-    sticking, train = _certain(train, friction, choice)
-    value, sigma, condition = least_squares(train)
-    used = train.used.mean(axis=0)
-    delay = _delay(recording, model, base, options, choice, sticking)
-    moved_by_delay = _moved_by(delay, train, value, recording, options)
-    del train  # a long recording's are large
+    condition = least_squares(train)[2]
+    choice = _chosen(train, motion)
     slower = replace(options, cutoff_hz=OTHER_CUTOFF * options.cutoff_hz)
     other, _ = _split(equations(recording, model, base, slower), options.held_out)
-    if sticking:
-        other = _joined(other, friction_columns(recording, slower), choice, sticking)
-        held_out = _joined(held_out, friction.some(slice(-len(held_out.t), None)), choice, sticking)
-    moved = least_squares(other)[0] - value
+    other_motion = Motion.of(recording, slower)
+    delay = _delay((train, motion), (other, other_motion), choice)
+    sticking, found, moved_by_terms = _certain(train, motion, choice)
+    choice = choice._replace(shape=found.shape)
+    others = [together(other, other_motion, sticking, found.shape, recording.delay_s)]
+    off_s = recording.period_s if delay is None else max(abs(delay.value_s - delay.taken_s), delay.sigma_s)
+    others.append(together(train, motion, sticking, found.shape, recording.delay_s + off_s))
+    moved = [moved_by_terms, *(one.value - found.value for one in others)]
+    held_out = _joined(held_out, motion, choice, sticking)
     described = np.concatenate(
         [base.combination @ described_parameters(recording.arm, model), _described(recording, sticking)]
     )
     return Fit(
         base=base,
-        value=value,
-        sigma=np.hypot(np.hypot(sigma, moved), moved_by_delay),
+        value=found.value,
+        sigma=np.sqrt(found.sigma**2 + sum(m**2 for m in moved)),
         described=described,
         condition=condition,
-        used=used,
+        used=train.used.mean(axis=0),
         held_out=held_out,
-        residual=_rms(held_out, value),
+        residual=_rms(held_out, found.value),
         residual_described=_rms(held_out, described),
-        torque=_rms(held_out, np.zeros_like(value)),
+        torque=_rms(held_out, np.zeros_like(found.value)),
         choice=choice,
+        speed_sigma=math.hypot(found.speed_sigma, *(one.speed - found.speed for one in others)),
         sticking=sticking,
         delay=delay,
     )
 
 
-def _joined(part: Part, friction: Columns, choice: Choice, sticking: Sequence[Term]) -> Part:
-    """The part with the chosen columns of friction, of the same samples, behind its own."""
-    columns = {name: column[: len(part.t)] for name, column in friction.of.items()}
-    return replace(part, columns=with_friction(part.columns, Columns(columns), choice.shape, sticking))
+def _chosen(train: Part, motion: Motion) -> Choice:
+    """The friction model, whatever the loop's delay is: that is one more column of each candidate."""
+    rate = motion.rate(motion.recording.delay_s)[: len(train.t), :, None]
+    columns = np.concatenate([train.columns, rate], axis=2)
+    friction = motion.friction(SHAPES).some(slice(len(train.t)))
+    return choose(columns, train.tau, train.used, friction, CONDITION_CHOICE)
 
 
-def _certain(train: Part, friction: Columns, choice: Choice) -> tuple[tuple[Term, ...], Part]:
-    """The chosen parameters that are known well, joint by joint, and the training data with their columns."""
-    sticking = tuple((key, joint) for key in choice.keys for joint in range(train.tau.shape[1]))
+def _explained(
+    part: Part, motion: Motion, keys: Sequence[str], shape: Shape | None, delay_s: float | None
+) -> list[Found]:
+    """What explains the part with these terms of every joint: the best first, then what is as good."""
+    terms = tuple(itertools.product(keys, range(part.tau.shape[1])))
+    shapes = [None] if shape is None else [Shape(shape.stribeck_rad_per_s, p) for p in EXPONENTS]
+    tried = [together(part, motion, terms, one, delay_s) for one in shapes]
+    weight = 1.0 / tried[0].squares.mean(axis=0)
+    scores = [found.squares @ weight for found in tried]
+    first = min(range(len(tried)), key=lambda i: float(scores[i].mean()))
+    rest = [tried[i] for i in range(len(tried)) if i != first and not clearly_larger(scores[i], scores[first])]
+    return [tried[first], *rest]
+
+
+def _certain(train: Part, motion: Motion, choice: Choice) -> tuple[tuple[Term, ...], Found, Vector]:
+    """The chosen terms that are known well, joint by joint, what is found with them, and how far that may be off.
+
+    That is how far it moves with the other exponent, where that is as good, and with the terms that are left out.
+    """
+    delay_s = motion.recording.delay_s
+    all_found, *rivals = _explained(train, motion, choice.keys, choice.shape, delay_s)
+    n, b = train.tau.shape[1], train.columns.shape[2]
+    sticking = tuple(itertools.product(choice.keys, range(n)))
+    moved2 = sum(((rival.value - all_found.value) ** 2 for rival in rivals), np.zeros_like(all_found.value))
+    kept, found = list(range(b + len(sticking))), all_found
     while sticking:
-        joined = _joined(train, friction, choice, sticking)
-        value, sigma, _ = least_squares(joined)
-        own = slice(-len(sticking), None)
-        unsure = sigma[own] / np.where(value[own] > 0.0, value[own], 1e-300)
+        own = slice(b, None)
+        sigma = np.sqrt(found.sigma[own] ** 2 + moved2[kept][own])
+        unsure = sigma / np.where(found.value[own] > 0.0, found.value[own], 1e-300)
+        falling = [key != LOAD for key, _ in sticking]
+        unsure[falling] = np.maximum(unsure[falling], found.speed_sigma / max(found.speed, 1e-300))
         if unsure.max() <= CERTAIN:
-            return sticking, joined
+            break
         worst = int(np.argmax(unsure))
+        del kept[b + worst]
         sticking = (*sticking[:worst], *sticking[worst + 1 :])
-    return (), train
+        found = together(train, motion, sticking, found.shape, delay_s)
+    if len(kept) < b + len(choice.keys) * n:
+        moved2 = moved2[kept] + all_found.sigma[kept] ** 2 + (all_found.value[kept] - found.value) ** 2
+    return sticking, found, np.sqrt(moved2)
+
+
+def _joined(part: Part, motion: Motion, choice: Choice, sticking: Sequence[Term]) -> Part:
+    """The part, which ends with the motion, with the chosen columns of friction behind its own."""
+    if not sticking:
+        return part
+    friction = motion.friction(() if choice.shape is None else (choice.shape,)).some(slice(-len(part.t), None))
+    return replace(part, columns=with_friction(part.columns, friction, choice.shape, sticking))
 
 
 def _described(recording: Recording, sticking: Sequence[Term]) -> Vector:
@@ -145,55 +175,22 @@ def _described(recording: Recording, sticking: Sequence[Term]) -> Vector:
     return np.array([0.0 if figure is None else figure.value for figure in figures])
 
 
-def _delay(
-    recording: Recording, model: ArmModel, base: Base, options: Options, choice: Choice, sticking: Sequence[Term]
-) -> Delay | None:
-    """Of the loop, from the whole recording; its error holds how far it moves with the low-pass."""
-    motion_hz = min(DELAY_MOTION * options.cutoff_hz, NYQUIST / recording.period_s)
-    slowest, slower = (
-        _delay_below(
-            recording, model, base, replace(options, cutoff_hz=share * options.cutoff_hz), motion_hz, choice, sticking
-        )
-        for share in (DELAY_CUTOFF, DELAY_OTHER)
-    )
-    if slowest is None or slower is None:
+def _delay(own: tuple[Part, Motion], other: tuple[Part, Motion], choice: Choice) -> Delay | None:
+    """Of the loop; its error holds how far it moves with the low-pass and with friction that explains as much."""
+    taken_s, longest_s = own[1].recording.delay_s, LONGEST_PERIODS * own[1].recording.period_s
+    try:
+        first, *rest = _explained(*own, choice.keys, choice.shape, None)
+        slower = _explained(*other, choice.keys, choice.shape, None)[0]
+        for keys, shape in choice.rivals:
+            terms = tuple(itertools.product(keys, range(own[0].tau.shape[1])))
+            rest.append(together(*own, terms, shape, hold=True))
+    except IdentifyError:  # it is not to be told apart
         return None
-    return slowest._replace(sigma_s=math.hypot(slowest.sigma_s, slowest.value_s - slower.value_s))
-
-
-def _moved_by(delay: Delay | None, train: Part, value: Vector, recording: Recording, options: Options) -> Vector:
-    """(b,) how far the estimates move with the delay as far as it may be off, by its own estimate."""
-    if delay is None:
-        return np.zeros_like(value)
-    off_s = max(abs(delay.value_s - delay.taken_s), delay.sigma_s)
-    later = low_pass(
-        recording.delayed(delay.taken_s + off_s).tau - recording.tau, options.cutoff_hz, recording.period_s
-    )
-    shift = later[kept_samples(recording, options)][: len(train.t)]
-    return least_squares(replace(train, tau=train.tau + shift))[0] - value
-
-
-def _delay_below(
-    recording: Recording, model: ArmModel, base: Base, slowest: Options, motion_hz: float, choice: Choice,
-    sticking: Sequence[Term],
-) -> Delay | None:  # fmt: skip
-    """The delay from slow motion alone, of which the encoders' steps hide the least."""
-    part, kept = equations(recording, model, base, slowest, motion_hz), kept_samples(recording, slowest)
-    if sticking:
-        part = _joined(part, friction_columns(recording, slowest, motion_hz), choice, sticking)
-
-    def filtered(tau: Matrix) -> Matrix:
-        return low_pass(tau, slowest.cutoff_hz, recording.period_s)[kept]
-
-    def solve(shift: Matrix, rate: Matrix) -> tuple[Vector, Vector]:
-        columns = np.concatenate([part.columns, rate[:, :, None]], axis=2)
-        try:
-            value, sigma, _ = least_squares(replace(part, columns=columns, tau=part.tau + shift))
-        except IdentifyError:  # such slow motion does not tell everything apart
-            return np.full(1, np.nan), np.full(1, np.nan)
-        return value, sigma
-
-    return measured(recording, filtered, solve)
+    if not first.delay_s < longest_s:
+        return None
+    by_friction_s = max((abs(found.delay_s - first.delay_s) for found in rest), default=0.0)
+    sigma_s = math.hypot(first.delay_sigma_s, slower.delay_s - first.delay_s, by_friction_s)
+    return Delay(first.delay_s, sigma_s, taken_s, taken_s, by_friction_s)
 
 
 def _split(part: Part, share: float) -> tuple[Part, Part]:

@@ -1,9 +1,8 @@
 """Which friction a recording shows beside Coulomb and viscous: columns of the candidates, chosen by held-out data.
 
 Every candidate is fitted on all of the training data but one block of time and judged on that block, in turn.  A
-candidate with more parameters is taken when it predicts what it has not seen better, by more than chance.  Of shapes of
-breakaway that the data do not tell apart, the one that falls off soonest is taken: least of it is at speed, where
-Coulomb friction is found.
+candidate with more parameters is taken when it predicts what it has not seen better, by more than chance.  The shape of
+its breakaway is where the search for the best one begins (joint.py).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from drivers.interface import Vector
 Matrix = NDArray[np.float64]
 
 FOLDS: Final = 8
-BETTER: Final = 0.1  # least improvement of the mean squared residual; friction that is not there gains up to 0.06
+BETTER: Final = 0.02  # least improvement of the mean squared residual; friction that is not there gains up to 0.01
 CERTAIN: Final = 0.25  # a figure with a larger standard error, relative to itself, is not taken over
 ERRORS: Final = 2.0  # standard errors, over the blocks, that a difference is away from none
 
@@ -54,6 +53,7 @@ class Choice(NamedTuple):
     keys: tuple[str, ...]  # of the arm file
     shape: Shape | None
     reason: str
+    rivals: tuple[tuple[tuple[str, ...], Shape | None], ...] = ()  # keys and shape of others that predict as well
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,13 @@ class Columns:
         return Columns({name: column[which] for name, column in self.of.items()})
 
 
-def raw_columns(dq: Matrix, tau: Matrix, smooth_rad_per_s: float) -> Iterator[tuple[tuple[str, Shape | None], Matrix]]:
+def raw_columns(
+    dq: Matrix, tau: Matrix, smooth_rad_per_s: float, shapes: Sequence[Shape]
+) -> Iterator[tuple[tuple[str, Shape | None], Matrix]]:
     """Columns before any filter, one after the other, from speed and torque of the motors (k, n)."""
     sign, size = np.tanh(dq / smooth_rad_per_s), np.abs(tau)
     yield (LOAD, None), sign * size
-    for shape in SHAPES:
+    for shape in shapes:
         left = np.exp(-((np.abs(dq) / shape.stribeck_rad_per_s) ** shape.stribeck_exponent))
         yield (BREAKAWAY, shape), sign * left
         yield (BREAKAWAY_LOAD, shape), sign * left * size
@@ -99,6 +101,7 @@ def choose(columns: Matrix, tau: Matrix, used: NDArray[np.bool_], friction: Colu
     best_scores, said = _scores(columns, tau, used, weight, condition_max), []
     if best_scores is None:
         return best._replace(reason="the motion tells too little apart")
+    judged: list[tuple[tuple[str, ...], Shape | None, Vector]] = [((), None, best_scores)]
     for name, keys in list(CANDIDATES.items())[1:]:
         tried = []
         for shape in SHAPES if keys != (LOAD,) else (None,):
@@ -109,23 +112,21 @@ def choose(columns: Matrix, tau: Matrix, used: NDArray[np.bool_], friction: Colu
         if not tried:
             said.append(f"{name}: cannot be told apart by this motion")
             continue
-        shape, scores = _soonest(tried)
+        shape, scores = min(tried, key=lambda one: float(one[1].mean()))
+        judged.append((keys, shape, scores))
         gain, error = _difference(best_scores, scores)
         share = gain / float(best_scores.mean())
-        better = share > BETTER and _clearly_larger(best_scores, scores)
+        better = share > BETTER and clearly_larger(best_scores, scores)
         said.append(
             f"{name}: {'better' if better else 'no better'} than {best.name} "
             f"({share:+.0%} ± {error / float(best_scores.mean()):.0%} of the mean squared residual)"
         )
         if better:
             best, best_scores = Choice(name, keys, shape, ""), scores
-    return best._replace(reason="; ".join(said))
-
-
-def _soonest(tried: Sequence[tuple[Shape | None, Vector]]) -> tuple[Shape | None, Vector]:
-    """The first shape, with its scores, that is not worse than the best by more than chance."""
-    best = min((scores for _, scores in tried), key=lambda scores: float(scores.mean()))
-    return next((shape, scores) for shape, scores in tried if not _clearly_larger(scores, best))
+    rivals = [
+        (keys, shape) for keys, shape, scores in judged if keys != best.keys and not clearly_larger(scores, best_scores)
+    ]
+    return best._replace(reason="; ".join(said), rivals=tuple(rivals))
 
 
 def _difference(scores: Vector, others: Vector) -> tuple[float, float]:
@@ -134,7 +135,7 @@ def _difference(scores: Vector, others: Vector) -> tuple[float, float]:
     return float(by_block.mean()), float(by_block.std(ddof=1)) / FOLDS**0.5
 
 
-def _clearly_larger(scores: Vector, others: Vector) -> bool:
+def clearly_larger(scores: Vector, others: Vector) -> bool:
     """Whether they are, by more than chance."""
     difference, error = _difference(scores, others)
     return difference > ERRORS * error

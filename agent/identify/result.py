@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -38,7 +38,7 @@ class FigureEstimate:
     joint: str
     key: str  # of the arm file
     value: float
-    sigma: float | None  # standard error; None: the best of a few, by held-out data
+    sigma: float | None  # standard error; None: the best of a few
     previous: float
     outcome: Outcome
 
@@ -94,7 +94,7 @@ class Identified:
         }
 
     def _change(self, f: FigureEstimate) -> Change:
-        spread = ", best of a few on held-out data" if f.sigma is None else f", ± {f.sigma:.1g}"
+        spread = ", best of a few" if f.sigma is None else f", ± {f.sigma:.1g}"
         return self._measured(f.joint, f.key, f.value, spread)
 
     def _measured(self, joint: str, key: str, value: float, how: str) -> Change:
@@ -139,14 +139,18 @@ def identified(recording: Recording, options: Options, fit: Fit) -> Identified:
 
 
 def _sticking(arm: Arm, fit: Fit) -> list[FigureEstimate]:
-    """Figures of friction beside Coulomb and viscous, which were all found certain, and how breakaway falls off."""
+    """Figures of friction beside Coulomb and viscous, and how breakaway falls off, which is written where that is."""
     figures, own = [], slice(len(fit.base.kept), None)
     for (key, joint), value, sigma in zip(fit.sticking, fit.value[own].tolist(), fit.sigma[own].tolist(), strict=True):
         figures.append(_figure(arm, joint, key, value, sigma))
     shape = fit.choice.shape
     if shape is not None:
         falling = sorted({joint for key, joint in fit.sticking if key != LOAD})
-        figures += [_figure(arm, j, key, value, None) for j in falling for key, value in shape._asdict().items()]
+        for j in falling:
+            with_it = [f.outcome for f in figures if f.joint == arm.servos[j].name and f.key != LOAD]
+            outcome = Outcome.REPLACED if Outcome.REPLACED in with_it else Outcome.UNCERTAIN
+            for (key, value), sigma in zip(shape._asdict().items(), (fit.speed_sigma, None), strict=True):
+                figures.append(replace(_figure(arm, j, key, value, sigma), outcome=outcome))
     return figures
 
 

@@ -53,6 +53,8 @@ def delay_line(result: Identified) -> str:
         return f"{found}; the figures are those of {delay.taken_s:.4g} s: viscous friction above all is off by that"
     if delay.taken_s != delay.believed_s:
         return f"{found}; the figures are those of {delay.taken_s:.4g} s: set loop_delay_s to it"
+    if delay.may_be_friction:
+        return f"{found}; not told apart from sticking and other friction: the figures are those of the believed one"
     return found
 
 

@@ -28,7 +28,7 @@ class Part:
     used: NDArray[np.bool_]  # (k, n)
 
 
-def least_squares(part: Part) -> tuple[Vector, Vector, float]:
+def least_squares(part: Part, condition_max: float = CONDITION_MAX) -> tuple[Vector, Vector, float]:
     """Parameters (b,), their standard errors (b,), and the condition number of the scaled columns.
 
     Joints are weighted by how well they fit.  Raises IdentifyError when the motion leaves a parameter undetermined.
@@ -39,14 +39,15 @@ def least_squares(part: Part) -> tuple[Vector, Vector, float]:
         triangle = _triangle(part, weight)
         scale = np.maximum(np.linalg.norm(triangle[:, :b], axis=0), 1e-300)
         condition = float(np.linalg.cond(triangle[:, :b] / scale))
-        _refuse_condition(condition)
+        _refuse_condition(condition, condition_max)
         value = np.linalg.lstsq(triangle[:, :b] / scale, triangle[:, b], rcond=None)[0] / scale
         residual = (part.tau - part.columns @ value) * part.used
         used_weight, weight = weight, np.sqrt(part.used.sum(axis=0) / np.maximum((residual**2).sum(axis=0), 1e-300))
     scores = np.empty((count, b))
     for some in _blocks(count):
         scores[some] = np.einsum("kjb,kj->kb", part.columns[some], residual[some] * used_weight * weight)
-    inverse = np.linalg.inv(triangle[:, :b].T @ triangle[:, :b])
+    root = np.linalg.inv(triangle[:b, :b] / scale) / scale[:, None]
+    inverse = root @ root.T
     return value, np.sqrt(np.diag(inverse @ _covariance(scores, part.t) @ inverse)), condition
 
 
@@ -73,11 +74,11 @@ def _covariance(scores: Matrix, t: Vector) -> Matrix:
     return covariance
 
 
-def _refuse_condition(condition: float) -> None:
-    if not condition <= CONDITION_MAX:
+def _refuse_condition(condition: float, condition_max: float) -> None:
+    if not condition <= condition_max:
         raise IdentifyError(
             "excitation",
             found=f"columns with a condition number of {condition:.3g}",
-            expected=f"at most {CONDITION_MAX:g}",
+            expected=f"at most {condition_max:g}",
             remedy='record a trajectory with more frequencies on more axes (kind = "fourier")',
         )

@@ -145,7 +145,18 @@ def test_the_low_pass_keeps_slow_motion_in_phase_and_takes_fast_noise_out() -> N
     t = np.arange(4000)[:, None] * 0.005
     slow, fast = np.sin(2 * np.pi * 1.0 * t), np.sin(2 * np.pi * 40.0 * t)
     filtered = low_pass(slow + fast, 5.0, 0.005)
-    assert np.abs(filtered - slow)[400:-400].max() < 1e-3
+    left = 0.901  # of 1 Hz by a raised cosine over 0.2 s to both sides
+    assert np.abs(filtered - left * slow)[400:-400].max() < 1e-3
+
+
+def test_the_low_pass_ends_so_that_a_stuck_joint_is_in_no_equation_away_from_it() -> None:
+    values = np.zeros((400, 1))
+    values[200] = 1.0
+    filtered = low_pass(values, 5.0, 0.005)
+    assert filtered.sum() == pytest.approx(1.0)
+    assert np.all(filtered[161:240] > 0.0)
+    assert not filtered[:161].any()
+    assert not filtered[240:].any()
 
 
 @pytest.mark.parametrize("name", [CELLS[0], *(pytest.param(name, marks=pytest.mark.long) for name in CELLS[1:])])

@@ -32,5 +32,13 @@ def test_a_delay_that_was_taken_instead_of_the_believed_one_is_told() -> None:
     assert line == LOOKS.format(6.01e-3) + "; the figures are those of 0.006 s: set loop_delay_s to it"
 
 
+@pytest.mark.parametrize(("sigma_s", "by_friction_s", "told"), [(1e-3, 0.99e-3, True), (1e-3, 0.5e-3, False)])
+def test_a_delay_that_other_friction_explains_as_well_is_told(sigma_s: float, by_friction_s: float, told: bool) -> None:
+    line = said(Delay(6e-3, sigma_s, 4e-3, 4e-3, by_friction_s))
+    found = "loop delay: 0.0060 s ± 0.001 (loop_delay_s, or one period: 0.004)"
+    why = "; not told apart from sticking and other friction: the figures are those of the believed one"
+    assert line == found + (why if told else "")
+
+
 def test_a_delay_that_was_not_seen_says_nothing_of_the_file() -> None:
     assert said(None) == "loop delay: not to be seen in this motion"
