@@ -65,7 +65,8 @@ class Motion:
 
     def later(self, delay_s: float) -> Matrix:
         """(k, n) by how much the torque is another one if this is the loop's delay, N·m."""
-        return self._filtered(self.recording.delayed(delay_s).tau - self.recording.tau)
+        believed = self.recording.delayed(self.recording.delay_s)
+        return self._filtered(self.recording.delayed(delay_s).tau - believed.tau)
 
     def rate(self, delay_s: float) -> Matrix:
         """(k, n) what a second more of the loop's delay adds to the columns' side, N·m/s."""

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.control.models import ArmModel
 from agent.identify.columns import Base, base_of, described_parameters
 from agent.identify.delay import Delay
 from agent.identify.equations import BLOCKS_MIN, Motion, Options, equations, too_short
@@ -79,9 +80,7 @@ def _fit(recording: Recording, options: Options) -> Fit:
     _refuse_too_little(train, base, recording, options)
     condition = least_squares(train)[2]
     choice = _chosen(train, motion)
-    slower = replace(options, cutoff_hz=OTHER_CUTOFF * options.cutoff_hz)
-    other, _ = _split(equations(recording, model, base, slower), options.held_out)
-    other_motion = Motion.of(recording, slower)
+    other, other_motion = _other(recording, model, base, options)
     delay = _delay((train, motion), (other, other_motion), choice)
     sticking, found, moved_by_terms = _certain(train, motion, choice)
     choice = choice._replace(shape=found.shape)
@@ -109,6 +108,18 @@ def _fit(recording: Recording, options: Options) -> Fit:
         sticking=sticking,
         delay=delay,
     )
+
+
+def _other(recording: Recording, model: ArmModel, base: Base, options: Options) -> tuple[Part, Motion]:
+    """Training data of a slower low-pass, or of a faster one where a slower leaves too little of the motion."""
+    slower, faster = (replace(options, cutoff_hz=by * options.cutoff_hz) for by in (OTHER_CUTOFF, 1.0 / OTHER_CUTOFF))
+    part, _ = _split(equations(recording, model, base, slower), options.held_out)
+    try:
+        least_squares(part)
+    except IdentifyError:
+        part, _ = _split(equations(recording, model, base, faster), options.held_out)
+        return part, Motion.of(recording, faster)
+    return part, Motion.of(recording, slower)
 
 
 def _chosen(train: Part, motion: Motion) -> Choice:

@@ -161,11 +161,11 @@ def test_the_low_pass_ends_so_that_a_stuck_joint_is_in_no_equation_away_from_it(
 
 @pytest.mark.parametrize("name", [CELLS[0], *(pytest.param(name, marks=pytest.mark.long) for name in CELLS[1:])])
 def test_exact_equations_give_the_exact_parameters(name: str) -> None:
-    """No grid, no delay, no loop: what remains is the filter's own error."""
+    """No grid, no delay, no loop: what remains is what the window of the positions takes off fast motion."""
     recording = exact(cell_of(name), 0.5, (0.1, 0.37, 0.9), 60.0)
     found = fit(recording, Options())
     for i in [*found.base.gravity(), *(found.base.coulomb(j) for j in range(recording.arm.n))]:
-        assert found.value[i] == pytest.approx(found.described[i], rel=2e-3, abs=2e-5), found.base.names[i]
+        assert found.value[i] == pytest.approx(found.described[i], rel=2e-3, abs=5e-5), found.base.names[i]
 
 
 def test_slow_motion_is_refused_with_the_joint_and_its_speed() -> None:
