@@ -1,8 +1,8 @@
 """Least squares of base parameters on a recording, with standard errors and a held-out part.
 
 What is left over is not white: it comes from grids, and from what the model leaves out.  So the standard errors are
-those of sums over whole blocks of time (cluster-robust), and for the model they have the distance by which an estimate
-moves when the low-pass does, and when the loop's delay does by its own standard error.
+those of sums over whole blocks of time (cluster-robust), and for the model they have the distances by which an estimate
+moves with a slower and a faster low-pass, and when the loop's delay does by its own standard error.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ OTHER_CUTOFF: Final = 0.6  # the second low-pass, relative to the first
 DELAY_ROUNDS: Final = 3
 CONDITION_CHOICE: Final = 1e4  # of the columns of a friction model that is tried
 EXPONENTS: Final = (1.0, 2.0)
+BESIDE: Final = 0.002  # of an estimate: what no model of the arm has in it, as runs of known truth showed
 USED_MIN: Final = 0.03  # share of the time that each joint moves fast enough, in each direction
 
 
@@ -80,14 +81,14 @@ def _fit(recording: Recording, options: Options) -> Fit:
     _refuse_too_little(train, base, recording, options)
     condition = least_squares(train)[2]
     choice = _chosen(train, motion)
-    other, other_motion = _other(recording, model, base, options)
-    delay = _delay((train, motion), (other, other_motion), choice)
+    filtered = _others(recording, model, base, options)
+    delay = _delay((train, motion), filtered[:1], choice)  # noise lets it move much with a faster one
     sticking, found, moved_by_terms = _certain(train, motion, choice)
     choice = choice._replace(shape=found.shape)
-    others = [together(other, other_motion, sticking, found.shape, recording.delay_s)]
+    others = [together(*other, sticking, found.shape, recording.delay_s) for other in filtered]
     off_s = recording.period_s if delay is None else max(abs(delay.value_s - delay.taken_s), delay.sigma_s)
     others.append(together(train, motion, sticking, found.shape, recording.delay_s + off_s))
-    moved = [moved_by_terms, *(one.value - found.value for one in others)]
+    moved = [moved_by_terms, BESIDE * found.value, *(one.value - found.value for one in others)]
     held_out = _joined(held_out, motion, choice, sticking)
     described = np.concatenate(
         [base.combination @ described_parameters(recording.arm, model), _described(recording, sticking)]
@@ -110,16 +111,18 @@ def _fit(recording: Recording, options: Options) -> Fit:
     )
 
 
-def _other(recording: Recording, model: ArmModel, base: Base, options: Options) -> tuple[Part, Motion]:
-    """Training data of a slower low-pass, or of a faster one where a slower leaves too little of the motion."""
-    slower, faster = (replace(options, cutoff_hz=by * options.cutoff_hz) for by in (OTHER_CUTOFF, 1.0 / OTHER_CUTOFF))
-    part, _ = _split(equations(recording, model, base, slower), options.held_out)
-    try:
-        least_squares(part)
-    except IdentifyError:
-        part, _ = _split(equations(recording, model, base, faster), options.held_out)
-        return part, Motion.of(recording, faster)
-    return part, Motion.of(recording, slower)
+def _others(recording: Recording, model: ArmModel, base: Base, options: Options) -> list[tuple[Part, Motion]]:
+    """Training data of a slower and of a faster low-pass, of which a short motion may leave too little."""
+    found = []
+    for by in (OTHER_CUTOFF, 1.0 / OTHER_CUTOFF):
+        other = replace(options, cutoff_hz=by * options.cutoff_hz)
+        part, _ = _split(equations(recording, model, base, other), options.held_out)
+        try:
+            least_squares(part)
+        except IdentifyError:
+            continue
+        found.append((part, Motion.of(recording, other)))
+    return found
 
 
 def _chosen(train: Part, motion: Motion) -> Choice:
@@ -186,12 +189,12 @@ def _described(recording: Recording, sticking: Sequence[Term]) -> Vector:
     return np.array([0.0 if figure is None else figure.value for figure in figures])
 
 
-def _delay(own: tuple[Part, Motion], other: tuple[Part, Motion], choice: Choice) -> Delay | None:
-    """Of the loop; its error holds how far it moves with the low-pass and with friction that explains as much."""
+def _delay(own: tuple[Part, Motion], filtered: Sequence[tuple[Part, Motion]], choice: Choice) -> Delay | None:
+    """Of the loop; its error holds how far it moves with other low-passes and with friction that explains as much."""
     taken_s, longest_s = own[1].recording.delay_s, LONGEST_PERIODS * own[1].recording.period_s
     try:
         first, *rest = _explained(*own, choice.keys, choice.shape, None)
-        slower = _explained(*other, choice.keys, choice.shape, None)[0]
+        others = [_explained(*other, choice.keys, choice.shape, None)[0] for other in filtered]
         for keys, shape in choice.rivals:
             terms = tuple(itertools.product(keys, range(own[0].tau.shape[1])))
             rest.append(together(*own, terms, shape, hold=True))
@@ -200,7 +203,7 @@ def _delay(own: tuple[Part, Motion], other: tuple[Part, Motion], choice: Choice)
     if not first.delay_s < longest_s:
         return None
     by_friction_s = max((abs(found.delay_s - first.delay_s) for found in rest), default=0.0)
-    sigma_s = math.hypot(first.delay_sigma_s, slower.delay_s - first.delay_s, by_friction_s)
+    sigma_s = math.hypot(first.delay_sigma_s, *(one.delay_s - first.delay_s for one in others), by_friction_s)
     return Delay(first.delay_s, sigma_s, taken_s, taken_s, by_friction_s)
 
 
