@@ -25,6 +25,7 @@ from agent.modes import Mode
 from agent.process.describe import run_info
 from agent.safety import Flag
 from agent.study.lab import Laboratory, Run
+from agent.telemetry.row.fill import SETTLED
 from agent.verify.noticing import noticed
 from tests.support.arm_files import pressed_on, with_figures
 
@@ -123,7 +124,7 @@ def test_its_state_goes_through_a_row() -> None:
     flat = np.array(memory.flatten())
     assert (flat[LOAD_AT - 1], flat[LOAD_AT], flat[STUCK_AT - 1], flat[STUCK_AT]) == (0.3, 0.7, 0.2, 0.9)
     assert (restore(flat, 3).sense.borne, restore(flat, 3).braced) == ((0.3, 0.7, 0.2, 0.9), braced)
-    before = restore(np.delete(flat, [STUCK_AT - 1, STUCK_AT]), 3)
+    before = restore(np.delete(flat[:-SETTLED], [STUCK_AT - 1, STUCK_AT]), 3)
     assert (before.sense.borne, before.braced) == ((0.3, 0.7, 0.0, 0.0), braced), "a row from before the second count"
     older = restore(flat[: LOAD_AT - 1], 3)
     assert (older.sense.borne, len(NOT_BORNE)) == (NOT_BORNE, BORNE), "a row of a log that is older than this sense"

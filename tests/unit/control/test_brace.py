@@ -100,10 +100,10 @@ def test_its_state_goes_through_a_row() -> None:
     assert braced_of([*braced, 9.0]) == braced
     assert braced_of([]) == NOT_BRACED, "a row of a log that is older than this"
     flat = np.array(memory.flatten())
-    assert flat[-6:-1].tolist() == list(braced)
+    assert flat[-12:-7].tolist() == list(braced)
     assert restore(flat, 3).braced == braced
-    assert restore(flat[:-6], 3).braced == NOT_BRACED
-    assert restore(flat[:-5], 3).sense.struck == restore(flat, 3).sense.struck
+    assert restore(flat[:-12], 3).braced == NOT_BRACED
+    assert restore(flat[:-11], 3).sense.struck == restore(flat, 3).sense.struck
 
 
 # --- who has it ------------------------------------------------------------------------------------------------------
