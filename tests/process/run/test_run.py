@@ -59,7 +59,7 @@ def wait_for_rows(out: Path, run: subprocess.Popen[str] | Loaded, timeout_s: flo
     """Return when the run's log holds rows for certain."""
     deadline = time.monotonic() + timeout_s
     log = out / "run.mcap"
-    while not (log.exists() and log.stat().st_size > 100_000):
+    while not (log.exists() and log.stat().st_size > 300_000):
         assert run.poll() is None, run.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.05)
