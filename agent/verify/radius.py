@@ -17,7 +17,8 @@ def told(radius: float, most: float) -> str:
     for digits in range(DIGITS[0], DIGITS[1] + 1):
         text = f"{radius:.{digits}f}"
         shown = float(text)
-        if shown != bound and (shown > bound) is (radius > most) and (shown < 1.0) is (radius < 1.0):
+        beside = shown > bound if radius > most else shown < bound
+        if beside and (shown < 1.0) is (radius < 1.0):
             break
     return text
 

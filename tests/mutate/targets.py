@@ -209,7 +209,9 @@ TARGETS = (
     Target("agent.verify.collision.way", (f"{UNIT}/verify/test_way.py",)),
     Target("agent.verify.criterion.exponential", (f"{_CRITERION}/test_exponential.py",)),
     Target("agent.verify.criterion.power", (f"{_CRITERION}/test_power.py",)),
+    Target("agent.verify.radius", (f"{UNIT}/verify/test_radius.py",)),
     Target("agent.verify.rubbing", (f"{UNIT}/verify/test_rubbing.py",)),
+    Target("agent.verify.start", (f"{UNIT}/verify/test_start.py",)),
     Target("agent.verify.disagreement", (f"{UNIT}/verify/test_disagreement.py",)),
     Target(
         "drivers.dynamixel.bringup",

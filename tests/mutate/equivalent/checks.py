@@ -48,9 +48,13 @@ _ANGLE = "angle = 2.0 * np.arctan2(sine, np.abs(cosine)) * np.sign(cosine)"
 _JITTER = "return real.model_copy(update={'delay_jitter_s': min(jitter_s, real.delay_s or 0.0)})"
 _SENSE = "size, along = (np.abs(tau_rest), np.where(tau_rest >= 0.0, sign, -sign))"
 _BOUND = "return np.where(size + along * bound >= 0.0, bound, turned)"
+_REFUSED = "refused = float((off > most).any(axis=1).mean())"
 _SLOPE = "self._slope = np.where(np.isfinite(self._stall), self._stall, 0.0) / join('no_load_rad_s')"
 
 CHECKS: Entries = {
+    "agent.verify.start": {
+        ("start", _REFUSED, _REFUSED.replace(">", ">=")): "no error that is drawn is as large as the limit to the bit",
+    },
     "agent.calibrate.poses": {
         ("held_out", _HELD, _HELD.replace("max(count, 1)", "max(count, 2)")): "one pose is in the first block",
     },

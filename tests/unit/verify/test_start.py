@@ -110,3 +110,10 @@ def test_it_warns_where_more_than_one_start_in_a_hundred_is_refused(zeros_rad: f
     assert found.verdict is verdict
     assert (beyond > 0.01) is (verdict is Verdict.WARNING)
     assert f"; {beyond:.1%} of starts refused" in found.found
+
+
+@pytest.mark.parametrize(("refused", "verdict"), [(8, Verdict.OK), (9, Verdict.WARNING)])
+def test_eight_of_eight_hundred_starts_may_be_refused(refused: int, verdict: Verdict) -> None:
+    sizes_m = np.sort(off("two_wx200").max(axis=1)[:, 0])[::-1]
+    found = found_of(f"safety.start_error_max_m={sizes_m[refused - 1 : refused + 1].mean()}")
+    assert found.verdict is verdict
