@@ -103,6 +103,7 @@ TARGETS = (
     Target("agent.control.against", (f"{UNIT}/control/test_against.py",)),
     Target("agent.control.borne", (f"{UNIT}/control/test_borne.py",)),
     Target("agent.control.brace", (f"{UNIT}/control/test_brace.py",)),
+    Target("agent.control.cause", (f"{UNIT}/control/test_cause.py",)),
     Target("agent.control.knock", (f"{UNIT}/control/test_knock.py",)),
     Target("agent.control.alignment", (f"{UNIT}/control/test_alignment.py",)),
     Target("agent.control.errors", _LAW),

@@ -48,10 +48,27 @@ _ANGLE = "angle = 2.0 * np.arctan2(sine, np.abs(cosine)) * np.sign(cosine)"
 _JITTER = "return real.model_copy(update={'delay_jitter_s': min(jitter_s, real.delay_s or 0.0)})"
 _SENSE = "size, along = (np.abs(tau_rest), np.where(tau_rest >= 0.0, sign, -sign))"
 _BOUND = "return np.where(size + along * bound >= 0.0, bound, turned)"
+_ORDER = "return [fast, slow] if quick >= max(slow_N / limits.slow_N, slow_Nm / limits.slow_Nm) else [slow, fast]"
+_UNLIKE = "return bool(np.linalg.norm((wrench - own) / limits) <= UNLIKE * np.linalg.norm(wrench / limits))"
+_OTHER = "if float(np.linalg.norm(other[:3])) > other_N:"
+_HANGS = "hangs = _cosine(first[3:], beyond, LEVER_M * math.hypot(*gravity)) >= LEAST_COSINE"
+_MOMENT = "by_moment = float(np.linalg.norm(first[:3])) <= first_N and Cause.LIFT not in fits"
+_ASLANT = "if hangs and (by_moment or _cosine(first[:3], gravity, 0.0) >= ASLANT):"
+_FITS = "found = sorted((cause for cause, cosine in fits.items() if cosine >= LEAST_COSINE), key=lambda c: -fits[c])"
 _REFUSED = "refused = float((off > most).any(axis=1).mean())"
+_NO_WRENCH_IS_AT_IT = "no wrench that is measured is at the limit to the bit"
 _SLOPE = "self._slope = np.where(np.isfinite(self._stall), self._stall, 0.0) / join('no_load_rad_s')"
 
 CHECKS: Entries = {
+    "agent.control.cause": {
+        ("jumped", _UNLIKE, _UNLIKE.replace("<=", "<")): _NO_WRENCH_IS_AT_IT,
+        ("parts", _ORDER, _ORDER.replace(">=", ">")): "of two that are as far above their limits either is the first",
+        ("named", _OTHER, _OTHER.replace(">", ">=")): _NO_WRENCH_IS_AT_IT,
+        ("named", _HANGS, _HANGS.replace(">=", ">")): _NO_WRENCH_IS_AT_IT,
+        ("named", _MOMENT, _MOMENT.replace("<=", "<")): _NO_WRENCH_IS_AT_IT,
+        ("named", _ASLANT, _ASLANT.replace(">=", ">")): _NO_WRENCH_IS_AT_IT,
+        ("causes", _FITS, _FITS.replace(">=", ">")): _NO_WRENCH_IS_AT_IT,
+    },
     "agent.verify.start": {
         ("start", _REFUSED, _REFUSED.replace(">", ">=")): "no error that is drawn is as large as the limit to the bit",
     },
