@@ -152,7 +152,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     if session is not None and mode is _TRACK:
         shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
     if mode in _ALIGNING:
-        settled = shift if mode is _READY else _settled(agent, memory.settled, shift, t)
+        settled = shift if mode is _READY else _settled(agent, settled, shift, t)
     braced = NOT_BRACED
     if agent.brace is not None and mode is _HOLD and calm == LAW and terms.J_inv_P is not None:
         braced = agent.brace.advance(memory.braced, terms.errors.e_p)

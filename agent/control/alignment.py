@@ -55,7 +55,7 @@ class Alignment:
         rho = _towards(shift[3:], turned, gain, self.dead_zone_rad, self.max_rad)
         if ready or settled == NO_SHIFT:
             return (*d, *rho)
-        return _back((*d, *rho), shift, settled, dt * self.return_per_s)
+        return _less((*d, *rho), shift, settled, dt * self.return_per_s)
 
     def settle(self, settled: Shift, shift: Shift, since_s: float) -> Shift:
         """What the shift goes back to from then on, since_s into the motion without anybody taking shifts away."""
@@ -96,11 +96,11 @@ def _towards(now: Vec3, error: Vec3, gain: float, dead_zone: float, bound: float
     return (moved[0] * bound / length, moved[1] * bound / length, moved[2] * bound / length)
 
 
-def _back(moved: Shift, a: Shift, b: Shift, part: float) -> Shift:
-    m = moved
+def _less(x: Shift, a: Shift, b: Shift, k: float) -> Shift:
+    """x − k (a − b)."""
     return (
-        m[0] - part * (a[0] - b[0]), m[1] - part * (a[1] - b[1]), m[2] - part * (a[2] - b[2]),
-        m[3] - part * (a[3] - b[3]), m[4] - part * (a[4] - b[4]), m[5] - part * (a[5] - b[5]),
+        x[0] - k * (a[0] - b[0]), x[1] - k * (a[1] - b[1]), x[2] - k * (a[2] - b[2]),
+        x[3] - k * (a[3] - b[3]), x[4] - k * (a[4] - b[4]), x[5] - k * (a[5] - b[5]),
     )  # fmt: skip
 
 

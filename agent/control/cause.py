@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from agent.control.borne import NOT_BORNE
+from agent.control.quaternion import cross
 from agent.control.residual import Channels, Residual, Sense
 from agent.control.terms import Terms
 from drivers.interface import Vector
@@ -59,7 +60,8 @@ def told(
         weighs, drags = residual.weighed(sense), residual.dragged(sense)
         fits = behind((wrench - sense.base)[:3], v, gravity, weighs=weighs, drags=drags)
         return f"{described(fits, found)}, {felt(sense)}"
-    beyond = np.cross(terms.kinematics.p_ee_object, gravity).tolist()
+    x, y, z = gravity
+    beyond = cross(terms.kinematics.p_ee_object, (x, y, z))
     return described(named(parts(residual, sense, wrench), v, gravity, beyond), found)
 
 

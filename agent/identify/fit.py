@@ -20,8 +20,8 @@ from agent.control.models import ArmModel
 from agent.identify.columns import Base, base_of, described_parameters
 from agent.identify.delay import Delay
 from agent.identify.equations import BLOCKS_MIN, Motion, Options, equations, too_short
-from agent.identify.friction import CERTAIN, LOAD, SHAPES, Choice, Shape, Term, choose, clearly_larger, with_friction
-from agent.identify.joint import LONGEST_PERIODS, Found, together
+from agent.identify.friction import CERTAIN, LOAD, SHAPES, Choice, Shape, Term, choose, clearly_larger
+from agent.identify.joint import LONGEST_PERIODS, Found, joined_with, together
 from agent.identify.recording import IdentifyError, Recording
 from agent.identify.solve import BLOCK_S, Part, least_squares
 from drivers.interface import Vector
@@ -89,7 +89,7 @@ def _fit(recording: Recording, options: Options) -> Fit:
     off_s = recording.period_s if delay is None else max(abs(delay.value_s - delay.taken_s), delay.sigma_s)
     others.append(together(train, motion, sticking, found.shape, recording.delay_s + off_s))
     moved = [moved_by_terms, BESIDE * found.value, *(one.value - found.value for one in others)]
-    held_out = _joined(held_out, motion, choice, sticking)
+    held_out = joined_with(held_out, motion, sticking, choice.shape, slice(-len(held_out.t), None))
     described = np.concatenate(
         [base.combination @ described_parameters(recording.arm, model), _described(recording, sticking)]
     )
@@ -173,14 +173,6 @@ def _certain(train: Part, motion: Motion, choice: Choice) -> tuple[tuple[Term, .
     if len(kept) < b + len(choice.keys) * n:
         moved2 = moved2[kept] + all_found.sigma[kept] ** 2 + (all_found.value[kept] - found.value) ** 2
     return sticking, found, np.sqrt(moved2)
-
-
-def _joined(part: Part, motion: Motion, choice: Choice, sticking: Sequence[Term]) -> Part:
-    """The part, which ends with the motion, with the chosen columns of friction behind its own."""
-    if not sticking:
-        return part
-    friction = motion.friction(() if choice.shape is None else (choice.shape,)).some(slice(-len(part.t), None))
-    return replace(part, columns=with_friction(part.columns, friction, choice.shape, sticking))
 
 
 def _described(recording: Recording, sticking: Sequence[Term]) -> Vector:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.identify.equations import Motion
-from agent.identify.friction import FOLDS, LOAD, Columns, Shape, Term, with_friction
+from agent.identify.friction import FOLDS, LOAD, Shape, Term, with_friction
 from agent.identify.solve import Part, least_squares
 from drivers.interface import Vector
 
@@ -60,17 +60,14 @@ def together(
     Raises IdentifyError when the motion leaves something undetermined.
     """
     count, b = len(part.t), part.columns.shape[2] + len(terms)
-    delay, period_s, speed_sigma = (
-        motion.recording.delay_s if delay_s is None else delay_s,
-        motion.recording.period_s,
-        0.0,
-    )
+    delay = motion.recording.delay_s if delay_s is None else delay_s
+    longest_s, speed_sigma = LONGEST_PERIODS * motion.recording.period_s, 0.0
     if all(key == LOAD for key, _ in terms):
         shape = None
     for _ in range(ROUNDS):
         late = replace(part, tau=part.tau + motion.later(delay)[:count])
         rate = motion.rate(delay)[:count, :, None] if delay_s is None else np.empty((*part.tau.shape, 0))
-        joined, slope = joined_with(late, motion, terms, shape), np.empty((*part.tau.shape, 0))
+        joined, slope = joined_with(late, motion, terms, shape, slice(count)), np.empty((*part.tau.shape, 0))
         if shape is not None and not hold:
             value = least_squares(_more(joined, rate), CONDITION_MAX)[0]
             slope = _slope(part, motion, terms, shape, value[:b])
@@ -82,7 +79,7 @@ def together(
             shape = shape._replace(stribeck_rad_per_s=float(np.clip(shape.stribeck_rad_per_s * step, *SPEEDS)))
         if delay_s is None:
             later = float(value[-1])
-            delay = float(np.clip(delay + later, 0.0, LONGEST_PERIODS * period_s))
+            delay = float(np.clip(delay + later, 0.0, longest_s))
         if abs(faster) < LOG_CLOSE and abs(later) < CLOSE_S:
             break
     rest = (joined.tau - _more(joined, slope, rate).columns @ value) * part.used
@@ -97,25 +94,21 @@ def together(
     )
 
 
-def joined_with(part: Part, motion: Motion, terms: Sequence[Term], shape: Shape | None) -> Part:
-    """The part, which begins with the motion, with the columns of the terms behind its own."""
+def joined_with(part: Part, motion: Motion, terms: Sequence[Term], shape: Shape | None, samples: slice) -> Part:
+    """The part, these samples of the motion, with the columns of the terms behind its own."""
     if not terms:
         return part
-    friction = motion.friction(() if shape is None else (shape,))
-    return replace(part, columns=with_friction(part.columns, _first(friction, len(part.t)), shape, terms))
+    friction = motion.friction(() if shape is None else (shape,)).some(samples)
+    return replace(part, columns=with_friction(part.columns, friction, shape, terms))
 
 
 def _slope(part: Part, motion: Motion, terms: Sequence[Term], shape: Shape, value: Vector) -> Matrix:
     """(k, n, 1) ∂τ/∂ln v_s with these parameters."""
     near = [shape._replace(stribeck_rad_per_s=shape.stribeck_rad_per_s * math.exp(by)) for by in (LOG_NEAR, -LOG_NEAR)]
-    friction, none = _first(motion.friction(near), len(part.t)), part.columns[:, :, :0]
+    friction, none = motion.friction(near).some(slice(len(part.t))), part.columns[:, :, :0]
     faster, slower = (with_friction(none, friction, one, terms) for one in near)
     slope: Matrix = (faster - slower) @ value[len(value) - len(terms) :, None] / (2.0 * LOG_NEAR)
     return slope
-
-
-def _first(friction: Columns, count: int) -> Columns:
-    return friction.some(slice(count))
 
 
 def _more(part: Part, *columns: Matrix) -> Part:
