@@ -41,6 +41,15 @@ def agent_wrench(agent: int, p_object_ee: Sequence[Vec3], desired: Sequence[Vec6
     return _minus(centred[agent], _mean(centred))
 
 
+def beside_equal_shares(load_shares: Sequence[float]) -> list[float]:
+    """c_i − 1/N of every agent: what the paper's G* takes for internal of a load that is meant to be shared unequally.
+
+    Zeros, to the bit, where all shares are the same.
+    """
+    equal = 1.0 / len(load_shares)
+    return [0.0 if len(set(load_shares)) == 1 else share - equal for share in load_shares]
+
+
 def about_object_centre(p_object_ee: Vec3, wrench_ee: Vec6) -> Vec6:
     """J_Oᵀ f: the wrench about the object's centre of a wrench f at the end effector; both in object axes."""
     fx, fy, fz, mx, my, mz = wrench_ee

@@ -13,7 +13,7 @@ from agent.config.cell import Cell
 from agent.faults.bench import ArmRun, Rehearsal
 from agent.faults.plan import Kind, Target
 from agent.modes import Mode
-from agent.report.series import internal_wrenches, largest_or_zero
+from agent.report.series import internal_wrenches, largest_or_zero, meant_by_shares
 from agent.safety import Flag
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Vector
@@ -35,7 +35,7 @@ class Measured:
     stopped_s: Mapping[str, float | None]  # by arm: until it left the motion; None: it did not
     ended: Mapping[str, str]  # by arm: the mode in which it ended, or what ended it
     why: Mapping[str, str]  # by arm: the reason it gave, empty without one
-    internal_N: float  # largest part of an arm's force that moves nothing
+    internal_N: float  # largest part of an arm's force that moves nothing, beyond what its load share means
     internal_before_N: float  # the same before the fault
     sag_m: float  # by how much the object fell below where it should be
     moved_rad: float  # by a joint of an arm with a fault, within the servos' watchdog time
@@ -163,7 +163,9 @@ def _timed(arm: ArmRun, run: Rehearsal) -> tuple[Any, Vector]:
 def _internal(run: Rehearsal) -> Vector:
     wrenches = np.array([seen.grasp_wrench for _, seen in run.truth])
     quats = np.array([seen.quat_object for _, seen in run.truth])
-    sizes: Vector = np.linalg.norm(internal_wrenches(wrenches, quats, None)[:, :, :3], axis=2).max(axis=1)
+    shares = [arm.entry.load_share for arm in run.cell.arms]
+    meant = meant_by_shares(wrenches, shares, run.cell.model(run.cell.arms[0]).plane_normal)
+    sizes: Vector = np.linalg.norm(internal_wrenches(wrenches, quats, None)[:, :, :3] - meant, axis=2).max(axis=1)
     return np.where(np.isfinite(sizes), sizes, 0.0)
 
 

@@ -92,6 +92,7 @@ class RunInfo:
     befell: Mapping[str, str] = field(default_factory=dict)  # pushes, openings, faults of the simulated cell, in words
     struck_s: Mapping[str, float] = field(default_factory=dict)  # of arms that its faults let go limp or stop: when
     emulated: bool = False  # the servos of its driver were, beside a plant
+    plane_normal: tuple[float, ...] | None = None  # (3,) of a cell that moves in a plane, any plane, world axes
 
     @property
     def ticks(self) -> int:
@@ -148,6 +149,7 @@ def _typed(log: AnyLog, raw: dict[str, Any], notes: list[str]) -> RunInfo:
             for arm in dict.fromkeys(one["arm"] for one in faults)
         },
         emulated=raw.get("driver") == DriverKind.DYNAMIXEL.value and log.plant is not None,
+        plane_normal=tuple(float(x) for x in raw["plane_normal"]) if raw.get("plane_normal") else None,
     )
 
 

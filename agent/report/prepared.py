@@ -23,6 +23,7 @@ from agent.report.series import (
     in_run,
     internal_wrenches,
     is_stale,
+    meant_by_shares,
     nearest,
     pose_by_arm,
     pose_by_plant,
@@ -43,7 +44,7 @@ class GraspForces:
     t: Array
     plant: Table
     internal_force: Array  # (k, N) size of the part that moves nothing, N
-    unasked_force: Array  # (k, N) the same less what each arm was to give of it
+    unasked_force: Array  # (k, N) the same less what load share and internal wrench asked of each arm
     internal_moment: Array  # (k, N) N·m; NaN without grasp offsets
 
 
@@ -165,6 +166,10 @@ def _grasp_forces(plant: Table, info: RunInfo, rows: Mapping[str, Table], missin
     asked = np.stack([_asked_force(rows.get(arm.name), t) for arm in info.arms], axis=1)
     if offsets is None:
         missing.append("moments of the realised internal wrench need the grasp offsets of every arm")
+    shares = [arm.load_share for arm in info.arms]
+    if not np.isfinite(shares).all():
+        shares = [1.0 / len(shares)] * len(shares)
+    normal = None if info.plane_normal is None else np.array(info.plane_normal)
     sizes = np.empty((3, len(plant), len(info.arms)))
     at = 0
     for block in plant.blocks(_BLOCK_ROWS):
@@ -172,7 +177,8 @@ def _grasp_forces(plant: Table, info: RunInfo, rows: Mapping[str, Table], missin
         internal = internal_wrenches(wrenches, column(block, "quat_object"), offsets)
         here = slice(at, at + len(block))
         force, moment = internal[:, :, :3], internal[:, :, 3:]
-        sizes[:, here] = [np.linalg.norm(part, axis=2) for part in (force, force - asked[here], moment)]
+        unasked = force - asked[here] - meant_by_shares(wrenches, shares, normal)
+        sizes[:, here] = [np.linalg.norm(part, axis=2) for part in (force, unasked, moment)]
         at += len(block)
     return GraspForces(t, plant, *sizes)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.control.internal_force import beside_equal_shares
 from agent.log.unshifted import unshifted
 from agent.log.when import SAME_CLOCK_NS, in_lockstep
 from agent.modes import Mode
@@ -276,3 +277,17 @@ def internal_wrenches(wrenches: Array, quat: Array, p_object_ee: Array | None) -
     share_moment = (moment - np.cross(p, force)).mean(axis=1, keepdims=True)
     internal[:, :, 3:] = moment - (share_moment + np.cross(p, share_force))
     return internal
+
+
+def meant_by_shares(wrenches: Array, load_shares: Sequence[float], normal: Array | None) -> Array:
+    """What of the forces of `internal_wrenches` the load shares mean, (c_i − 1/N) Σ_j f_j, `(k, N, 3)` N, world axes.
+
+    Zeros with equal shares.  normal: of the plane that the arms move in, `(3,)`: out of it they share nothing.
+    """
+    beside = np.array(beside_equal_shares(load_shares))
+    if not beside.any():
+        return np.zeros((*wrenches.shape[:2], 3))
+    load = wrenches[:, :, :3].sum(axis=1)
+    if normal is not None:
+        load = load - (load @ normal)[:, None] * normal
+    return np.asarray(beside[:, None] * load[:, None, :])

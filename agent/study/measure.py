@@ -16,7 +16,7 @@ from agent.config.schema.reality import Reality
 from agent.control.internal_force import internal_wrenches as asked_of_all
 from agent.control.quaternion import angle_between
 from agent.report.loss import LOST_M, LOST_RAD, is_lost
-from agent.report.series import internal_wrenches, largest_force, largest_or_zero, rotate
+from agent.report.series import internal_wrenches, largest_force, largest_or_zero, meant_by_shares, rotate
 from agent.study.lab import Laboratory, Run
 from agent.verify.force import mean_bound_N
 from drivers.interface import DriverError, Vector
@@ -63,7 +63,7 @@ class RunResult:
     attitude_error_rad: float
     position_beyond_anchor_m: float  # largest, less the error of what the anchor sees at the same instant
     attitude_beyond_anchor_rad: float
-    internal_force_mean_N: float  # of the arm with the largest at each instant
+    internal_force_mean_N: float  # beyond load share and asked squeeze, of the arm with the largest at each instant
     internal_force_max_N: float
     peak_torque_fraction: float  # of stall, of the joint and instant with the largest; the whole run
     reaction_s: float | None  # from the first fault to the first other arm that trips; None: no fault, or nobody did
@@ -181,11 +181,15 @@ class _Seen:
         )
 
     def _internal_force_N(self) -> Vector:
-        """(k,) largest part of an arm's force that moves nothing and is not asked of it, at each observation."""
+        """(k,) largest part of an arm's force that moves nothing and that nothing asks of it, at each observation.
+
+        f_i − c_i Σ_j f_j less the internal force that it is to give: what its load share means is none of it.
+        """
         if not self._wrench:
             return np.zeros(0)
-        quat = np.array(self._quat)
-        found = internal_wrenches(np.array(self._wrench), quat, None)[:, :, :3]
+        wrench, quat, cell = np.array(self._wrench), np.array(self._quat), self._lab.cell
+        shares, normal = [arm.entry.load_share for arm in cell.arms], cell.model(cell.arms[0]).plane_normal
+        found = internal_wrenches(wrench, quat, None)[:, :, :3] - meant_by_shares(wrench, shares, normal)
         if self._asked_N is not None:
             found = found - np.stack([rotate(quat, force) for force in self._asked_N], axis=1)
         return largest_force(np.linalg.norm(found, axis=2))

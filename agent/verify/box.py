@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.config.cell import Cell
 from agent.control.adaptation_bound import ReferenceTwist, estimated_wrench
+from agent.control.internal_force import beside_equal_shares
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Matrix
 from drivers.interface import Vector
@@ -24,18 +25,19 @@ def largest_internal_wrench(
 
     along[k][i]: joint angles (n,) of arm i at instants[k] (s).  Every estimate of every arm lies anywhere in its box,
     the truth is what is configured, and the reference is the desired motion.  The internal wrench of an arm is its own
-    less the mean of all; what is physical, and the limits of torque, are not counted.
+    less its load share of the sum of all; what is physical, and the limits of torque, are not counted.
     """
     agents = [cell.offline(a) for a in cell.arms]
     P, trajectory = models[0].task_basis, cell.trajectory()
+    shares = [1.0 / len(agents) + beside for beside in beside_equal_shares([a.load_share for a in agents])]
     force = moment = 0.0
     for q, t in zip(along, instants, strict=True):
         desired = trajectory.at(t)
         reference = ReferenceTwist(np.array(desired.v), np.array(desired.a))
         parts = [_part(model, agent, q_i, reference, P) for model, agent, q_i in zip(models, agents, q, strict=True)]
         for i in range(len(parts)):
-            share = [(i == j) - 1.0 / len(parts) for j in range(len(parts))]
-            columns = np.hstack([c * A for c, (A, _) in zip(share, parts, strict=True)])
+            counts = [(i == j) - shares[i] for j in range(len(parts))]
+            columns = np.hstack([c * A for c, (A, _) in zip(counts, parts, strict=True)])
             low, high = np.hstack([box for _, box in parts])
             force = max(force, largest_norm(columns[:3], low, high))
             moment = max(moment, largest_norm(columns[3:], low, high))

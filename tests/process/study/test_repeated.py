@@ -56,6 +56,19 @@ def test_what_befell_the_worst_run_of_a_study_befalls_its_arms_in_coop_run_in_th
     assert [(event.source, event.text) for event in log.events if event.text == REASON] == [("right", REASON)]
 
 
+def test_with_unequal_shares_a_report_and_a_study_have_one_internal_force(tmp_path: Path) -> None:
+    path = tmp_path / "unlike.toml"
+    shares = ("object.mass_kg=0.3", "arms.left.load_share=0.1", "arms.right.load_share=0.9")
+    short = ("duration_s=2.0", "report.transient_s=1.0", "simulation.ready_s=0.5", "simulation.observe_rate_hz=200.0")
+    path.write_bytes(load_cell(Path("two_wx200"), [*short, *shares]).toml)
+    coop("run", path, "--no-report", "--out", tmp_path / "out")
+    told = json.loads((tmp_path / "out/results.json").read_text())
+    studied = measure(Laboratory(load_cell(path)), None)
+    assert told["internal_force_mean_N"] == pytest.approx(studied.internal_force_mean_N, rel=1e-2)
+    assert told["internal_force_mean_N"] < 0.3
+    assert told["arms"]["left"]["internal_realised"]["max_force_N"] > 1.0, "the paper's projection has the shares in it"
+
+
 @pytest.mark.long  # test_network_independence.py compares processes with the laboratory, too
 def test_the_worst_run_of_a_study_is_repeated_by_coop_run(tmp_path: Path) -> None:
     studied = Laboratory(cell("simulation.ready_s=0.1", "controller.alignment.ready_per_s=2.0"))

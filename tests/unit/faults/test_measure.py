@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.around import RunSummary
-from agent.config.cell import load_cell
+from agent.config.cell import Cell, load_cell
 from agent.faults.bench import ArmRun, Rehearsal
 from agent.faults.measure import Measured, measured
 from agent.faults.plan import Injection
@@ -70,6 +70,7 @@ def seen(t: float, **given: Any) -> Observation:
 def figures(
     left: ArmRun | None = None, right: ArmRun | None = None, truth: dict[float, Any] | None = None,
     struck: str = "left", ready: dict[str, Any] | None = None, again_s: float | None = None, fault: str = "bus-off",
+    cell: Cell = CELL,
 ) -> Measured:  # fmt: skip
     """Of a run with a fault of one arm at AT_S; truth: what is seen at a time and from then on.
 
@@ -83,7 +84,7 @@ def figures(
     at = [again_s, AT_S] if again_s is not None else [AT_S]
     faults = tuple(Injection(fault=fault, arm=struck, at_s=at_s) for at_s in at)
     arms = {"left": left or arm(), "right": right or arm()}
-    return measured(Rehearsal(CELL, faults, arms, ZERO_NS, tuple(taken), None))  # type: ignore[arg-type]
+    return measured(Rehearsal(cell, faults, arms, ZERO_NS, tuple(taken), None))  # type: ignore[arg-type]
 
 
 def test_a_quiet_run_has_no_figure_but_zeros() -> None:
@@ -165,6 +166,15 @@ def test_of_three_arms_the_one_with_the_most_counts() -> None:
     wrench = np.zeros((3, 6))
     wrench[:, 2] = 4.0, 1.0, 1.0
     assert figures(truth={0.0: {"grasp_wrench": wrench}}).internal_N == pytest.approx(2.0)
+
+
+def test_what_the_load_shares_mean_is_no_internal_force() -> None:
+    unlike = load_cell(Path("two_wx200"), ["duration_s=2.0", "arms.left.load_share=0.1", "arms.right.load_share=0.9"])
+    wrench = np.zeros((2, 6))
+    wrench[0, 2], wrench[1, 2] = 0.5, 4.5
+    assert figures(truth={0.0: {"grasp_wrench": wrench}}, cell=unlike).internal_N == pytest.approx(0.0, abs=1e-12)
+    wrench[0, 2], wrench[1, 2] = 0.8, 4.2
+    assert figures(truth={0.0: {"grasp_wrench": wrench}}, cell=unlike).internal_N == pytest.approx(0.3)
 
 
 def test_sag_is_below_the_motion_while_it_is_followed_and_below_the_hold_after_it() -> None:

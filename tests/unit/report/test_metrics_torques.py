@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from agent.modes import Mode
 from agent.report import prepared
 from agent.report.metrics import summarise
 from agent.report.prepared import prepare
-from agent.report.series import durations, internal_wrenches, rotate
+from agent.report.series import durations, internal_wrenches, meant_by_shares, rotate
 from agent.safety import Flag
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import Health
@@ -103,6 +104,30 @@ def test_what_arms_are_to_press_by_is_none_of_it_while_rows_say_so() -> None:
         log.agents[arm]["wrench_internal"][10] = math.nan  # a tick without a law
     assert summarise(log).internal_force_mean_N == pytest.approx(1.0, abs=0.02)
     assert summarise(log).arms["left"].internal_realised.max_force_N == pytest.approx(3.0), "all of it"
+
+
+def sharing(*load_shares: float) -> list[dict[str, Any]]:
+    """The arms of run.json with these shares."""
+    return [arm | {"load_share": share} for arm, share in zip(run_file()["arms"], load_shares, strict=True)]
+
+
+def test_what_the_load_shares_mean_is_none_of_the_mean_and_all_of_the_paper_s_projection() -> None:
+    """In the plane of the arms; out of it they share nothing, whatever plane it is."""
+    for normal, most_N in (([0, 0, 1], 0.0), (None, 0.0), ([0.6, 0.8, 0.0], 0.8 * 0.8), ([0, 1, 0], 0.8)):
+        log = small_run(plane_normal=normal, arms=sharing(0.1, 0.9))
+        log.plant["grasp_wrench"][:, 1], log.plant["grasp_wrench"][:, 7] = 0.2, 1.8
+        results = summarise(log)
+        assert results.internal_force_mean_N == pytest.approx(most_N, abs=1e-12), normal
+        assert results.arms["left"].internal_realised.max_force_N == pytest.approx(0.8)
+        assert results.arms["left"].load_share_realised == pytest.approx(0.1)
+
+
+def test_a_log_that_does_not_say_all_shares_counts_as_one_of_equal_shares() -> None:
+    arms = sharing(0.1, 0.9)
+    del arms[1]["load_share"]
+    log = small_run(arms=arms)
+    log.plant["grasp_wrench"][:, 1], log.plant["grasp_wrench"][:, 7] = 0.2, 1.8
+    assert summarise(log).internal_force_mean_N == pytest.approx(0.8)
 
 
 def test_a_plant_s_row_takes_what_an_arm_was_to_give_from_a_row_of_about_that_time_or_none() -> None:
@@ -260,6 +285,23 @@ def test_internal_wrench_is_the_papers_projection_and_has_no_net_wrench(q, offse
     expected = (np.eye(18) - G_star @ G.T) @ wrenches.ravel()
     np.testing.assert_allclose(internal.ravel(), expected, atol=1e-11)
     np.testing.assert_allclose(G.T @ internal.ravel(), 0.0, atol=1e-11)
+
+
+@given(st.lists(st.floats(0.01, 1.0), min_size=3, max_size=3), wrench_stacks)
+def test_an_arm_s_force_is_its_share_of_the_load_and_what_no_share_means(weights, wrenches) -> None:
+    shares = np.array(weights) / np.sum(weights)
+    beside = internal_wrenches(wrenches[None], np.array([[1.0, 0.0, 0.0, 0.0]]), None)[:, :, :3]
+    beside = beside - meant_by_shares(wrenches[None], shares.tolist(), None)
+    load = wrenches[:, :3].sum(axis=0)
+    np.testing.assert_allclose(shares[:, None] * load + beside[0], wrenches[:, :3], atol=1e-11)
+    np.testing.assert_allclose(beside.sum(axis=1), 0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("count", range(1, 9))
+def test_equal_shares_mean_nothing_beside_the_paper_s_projection_to_the_bit(count: int) -> None:
+    forces = np.random.default_rng(count).normal(size=(5, count, 6))
+    for share in (1.0 / count, round(1.0 / count, 6)):
+        assert not meant_by_shares(forces, [share] * count, None).any()
 
 
 def test_a_squeeze_is_all_internal_and_the_weight_is_shared() -> None:

@@ -94,6 +94,18 @@ def test_errors_of_calibration_show_as_internal_force(lab: Laboratory) -> None:
     assert bad.internal_force_max_N >= bad.internal_force_mean_N
 
 
+def test_a_cell_whose_arms_share_the_load_as_stated_is_within_bounds_whatever_the_shares() -> None:
+    """Of 0.3 kg one carries a tenth; counted by halves that were 1.2 N."""
+    short = ("duration_s=3.0", "report.transient_s=1.5", "simulation.ready_s=1.0", "object.mass_kg=0.3")
+    equal, unlike = (
+        measure(Laboratory(load_cell(Path("two_wx200"), [*short, *shares])), None)
+        for shares in ((), ("arms.left.load_share=0.1", "arms.right.load_share=0.9"))
+    )
+    assert unlike.internal_force_mean_N == pytest.approx(equal.internal_force_mean_N, abs=0.02)
+    assert equal.within_bounds
+    assert unlike.within_bounds
+
+
 def test_a_squeeze_that_is_asked_for_is_no_internal_force_and_one_that_nobody_gives_is() -> None:
     """In object axes, which turn; out of the plane no planar arm gives any."""
 

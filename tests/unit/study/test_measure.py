@@ -28,11 +28,16 @@ GRASP = np.zeros((2, 6))
 GRASP[0, :3], GRASP[1, :3] = (0.24, 0.0, 0.32), (-0.24, 0.0, -0.32)  # N, against each other
 
 
+CHANGES = (
+    "duration_s=8.0", "rate_hz=100.0", "trajectory.angle_rad=0.0",
+    "report.transient_s=1.0", "simulation.observe_rate_hz=10.0", "simulation.ready_s=0.5",
+)  # fmt: skip
+UNLIKE = ("arms.left.load_share=0.1", "arms.right.load_share=0.9")
+
+
 @cache
 def cell() -> Cell:
-    changes = ("duration_s=8.0", "rate_hz=100.0", "trajectory.angle_rad=0.0")
-    seen = ("report.transient_s=1.0", "simulation.observe_rate_hz=10.0", "simulation.ready_s=0.5")
-    return load_cell(Path("paper"), [*changes, *seen])
+    return load_cell(Path("paper"), CHANGES)
 
 
 @cache
@@ -57,6 +62,7 @@ class Scripted:
         self._skew_s = skew_s
         self.faults: Sequence[Fault] = ()
         self.blind = False  # whether the anchor sees nothing
+        self.wrench = GRASP
 
     @property
     def t(self) -> float:
@@ -75,12 +81,23 @@ class Scripted:
         own = p + np.array([0.0, own_m, 0.0])
         seen = None if self.blind else (tuple(own), tuple(about_z(off_rad - own_rad)))
         self.places[cell().anchor].sees = lambda: seen
-        return SimpleNamespace(p_object=p, quat_object=quat, grasp_wrench=GRASP)
+        return SimpleNamespace(p_object=p, quat_object=quat, grasp_wrench=self.wrench)
 
     def advance(self) -> None:
         if self.t >= self._ends_s:
             raise PlantError("the plant", found="nan", expected="numbers", remedy="none")
         self.tick += 1
+
+
+def force_N(monkeypatch: pytest.MonkeyPatch, wrench: np.ndarray, *changes: str) -> float:
+    """The internal force of a run of the cell with these changes, in which its grasps carry this all along."""
+    run = Scripted(lambda _: (0.0,) * 4, (), math.inf, 0.0)
+    run.wrench = wrench
+    monkeypatch.setattr(module, "Run", lambda *_: run)
+    shared: Any = SimpleNamespace(cell=load_cell(Path("paper"), [*CHANGES, *changes]), stall_Nm=STALL_NM)
+    found = measure(shared, None)
+    assert found.internal_force_mean_N == pytest.approx(found.internal_force_max_N)
+    return found.internal_force_max_N
 
 
 def off_at(errors_m: Mapping[float, float], usual_m: float) -> Callable[[float], Seen]:
@@ -183,6 +200,36 @@ def test_a_run_of_which_nothing_was_seen_is_lost_and_has_no_figures(monkeypatch:
         1.0,
     )
     assert (found.internal_force_max_N, found.internal_force_mean_N) == (0.0, 0.0)
+
+
+def test_what_the_load_shares_mean_is_no_internal_force_and_what_is_beside_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wrench = np.zeros((2, 6))
+    wrench[0, :2], wrench[1, :2] = (0.5, -0.3), (4.5, -2.7)  # 5.8 N of load, a tenth and the rest
+    assert force_N(monkeypatch, wrench, *UNLIKE) == pytest.approx(0.0, abs=1e-12)
+    wrench[0, 0], wrench[1, 0] = 0.5 + 0.7, 4.5 - 0.7
+    assert force_N(monkeypatch, wrench, *UNLIKE) == pytest.approx(0.7)
+    x, y, _ = load_cell(Path("paper"), CHANGES).T_world_object_start.rotation.T @ [0.7, 0.0, 0.0]
+    squeezed = (
+        f"arms.left.internal_wrench_N_Nm=[{x}, {y}, 0.0, 0.0, 0.0, 0.0]",
+        f"arms.right.internal_wrench_N_Nm=[{-x}, {-y}, 0.0, 0.0, 0.0, 0.0]",
+    )
+    assert force_N(monkeypatch, wrench, *UNLIKE, *squeezed) == pytest.approx(0.0, abs=1e-9), "asked for, too"
+
+
+def test_out_of_their_plane_arms_share_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    wrench = np.zeros((2, 6))
+    wrench[:, 2] = 2.0
+    assert force_N(monkeypatch, wrench, *UNLIKE) == pytest.approx(0.0, abs=1e-12)
+    wrench[:, 2] = 0.4, 3.6
+    assert force_N(monkeypatch, wrench, *UNLIKE) == pytest.approx(1.6)
+
+
+def test_with_equal_shares_the_internal_force_is_the_paper_s_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    wrench = np.random.default_rng(5).normal(size=(2, 6))
+    own = wrench[:, :3] - wrench[:, :3].mean(axis=0, keepdims=True)
+    assert force_N(monkeypatch, wrench) == float(np.linalg.norm(own, axis=1).max())
 
 
 def test_the_instants_at_which_the_transient_ends_and_an_arm_trips_count(monkeypatch: pytest.MonkeyPatch) -> None:
