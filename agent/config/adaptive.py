@@ -11,8 +11,8 @@ from agent.config.schema.adaptive import Adaptive, ArmBounds, Bounds, GainFactor
 from agent.config.schema.arm import ServoJoint
 from agent.config.schema.controller import Controller
 from agent.config.schema.world import Object
-from agent.control.adaptation import LOAD_MAX, Adaptation, Estimate
-from agent.control.friction import JointFriction
+from agent.control.adaptation import Adaptation, Estimate
+from agent.control.friction import LOAD_MAX, JointFriction
 from agent.control.models import ArmModel, Matrix
 from agent.control.regressor import BODY_PARAMETERS, arm_parameters, object_parameters
 from drivers.interface import Refusal, Vector

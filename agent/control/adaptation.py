@@ -13,14 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.control.friction import JointFriction
+from agent.control.friction import LOAD_MAX, JointFriction
 from agent.control.projection import to_box, to_physical
 from agent.control.regressor import BODY_PARAMETERS
 from drivers.interface import Vector
 
 JOINT_PARAMETERS = 6  # rotor inertia, viscous, Coulomb, breakaway, load, breakaway load
 ARM_PARAMETERS_PER_JOINT = BODY_PARAMETERS + JOINT_PARAMETERS
-LOAD_MAX = 0.95  # of both load parameters together; at one no torque moves the joint
 MAX_INTERVALS = 4.0  # adaptation over a longer pause than this many periods is not made up for
 
 

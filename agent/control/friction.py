@@ -7,7 +7,8 @@ Friction of a joint that moves with dq under the motor's torque τ is sign(dq) �
 Coulomb friction F_c, breakaway F_s above it, both with a part that grows with load.  Feed-forward is made of two
 speeds.  The sign comes from the reference velocity, smoothly: measured velocity is quantised to 0.024 rad/s, and its
 sign would chatter.  What breakaway is left comes from the joint's own speed, on which it depends gently.  The motor's
-torque contains the feed-forward, which is solved for.
+torque contains the feed-forward, which is solved for.  A factor of the friction (agent.control.friction_factor) is one
+of all four parts of Γ, so the load in it is that of a torque which contains it times the factor.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from drivers.interface import Vector
 
 Matrix = NDArray[np.float64]
 
+LOAD_MAX = 0.95  # of both load parameters together; at one no torque moves the joint
 FASTEST = 1e3  # of v_s; there is no breakaway left beyond, and the power stays finite
 
 
@@ -48,14 +50,21 @@ class JointFriction(NamedTuple):
         ratio = min(abs(dq) / self.stribeck_rad_per_s, FASTEST)
         return math.exp(-(ratio**self.stribeck_exponent))
 
-    def bound(self, left: float, tau_rest: float, sign: float) -> float:
-        """Γ at the motor's torque τ = tau_rest + sign Γ; left: of the breakaway; sign: −1 to 1."""
-        constant = self.coulomb_Nm + self.breakaway_Nm * left
-        return solved(constant, self.load + self.breakaway_load * left, tau_rest, sign)
+    def bound(self, left: float, tau_rest: float, sign: float, factor: float = 1.0) -> float:
+        """Γ at the motor's torque τ = tau_rest + factor sign Γ; left: of the breakaway; sign: −1 to 1.
+
+        A factor by which the load parameters would be more than LOAD_MAX counts in τ only as far as they are not.
+        """
+        constant, load = self.coulomb_Nm + self.breakaway_Nm * left, self.load + self.breakaway_load * left
+        counted = factor * sign
+        if load > 0.0:
+            most = max(abs(sign), LOAD_MAX / load)
+            counted = min(max(counted, -most), most)
+        return solved(constant, load, tau_rest, counted)
 
 
 def solved(constant: float, load: float, tau_rest: float, sign: float) -> float:
-    """Γ ≥ 0 with Γ = constant + load |tau_rest + sign Γ|; load below one, sign between −1 and 1."""
+    """Γ ≥ 0 with Γ = constant + load |tau_rest + sign Γ|; load times the size of sign below one."""
     if load == 0.0:
         return constant
     size = abs(tau_rest)
@@ -110,5 +119,5 @@ class Friction:
         taken = []
         for p, v_ref, v, tau in zip(self.joints, dq_ref.tolist(), dq.tolist(), tau_law.tolist(), strict=True):
             sign, drag = math.tanh(v_ref * s), p.viscous_Nm_s_per_rad * v_ref
-            taken.append(factor * sign * p.bound(p.breakaway_left(v), tau + drag, sign) + drag)
+            taken.append(factor * sign * p.bound(p.breakaway_left(v), tau + drag, sign, factor) + drag)
         return np.array(taken)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from agent.control.adaptation import ARM_PARAMETERS_PER_JOINT, LOAD_MAX, Adaptation, Estimate
-from agent.control.friction import JointFriction
+from agent.control.adaptation import ARM_PARAMETERS_PER_JOINT, Adaptation, Estimate
+from agent.control.friction import LOAD_MAX, JointFriction
 from agent.control.models import ArmModel
 from agent.control.regressor import BODY_PARAMETERS, arm_parameters, object_parameters
 from drivers.interface import Vector

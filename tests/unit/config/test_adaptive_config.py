@@ -12,7 +12,6 @@ import configs
 from agent.config.adaptive import AdaptationError
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.schema.arm import ServoJoint
-from agent.control.adaptation import LOAD_MAX
 from agent.control.adaptation_bound import (
     Point,
     ReferenceTwist,
@@ -20,6 +19,7 @@ from agent.control.adaptation_bound import (
     gain_limits,
     radius_with_adaptation,
 )
+from agent.control.friction import LOAD_MAX
 from agent.control.stability import SampledLoop, coupled_inertia, spectral_radius
 from agent.loop import Outcome
 from agent.verify.check import Finding, Verdict, examine

@@ -46,6 +46,56 @@ def test_it_cancels_the_friction_by_which_the_plant_slides_under_the_whole_torqu
     assert feed_forward == pytest.approx(-sliding(joints, dq, tau_law + feed_forward), rel=1e-9, abs=1e-12)
 
 
+@given(SEEDS, st.floats(0.5, 2.0))
+def test_with_a_learned_factor_it_cancels_the_friction_of_a_plant_that_has_so_many_times_the_file_s(
+    seed: int, factor: float
+) -> None:
+    """Load in it, at the torque that is sent: the whole friction but the viscous is the factor times as large."""
+    rng = np.random.default_rng(seed)
+    joints, tau_law = some(rng, 6), rng.normal(scale=1.5, size=6)
+    joints = tuple(j._replace(load=0.5 * j.load, breakaway_load=0.5 * j.breakaway_load) for j in joints)
+    scaled = tuple(
+        j._replace(
+            coulomb_Nm=factor * j.coulomb_Nm, breakaway_Nm=factor * j.breakaway_Nm,
+            load=factor * j.load, breakaway_load=factor * j.breakaway_load,
+        )
+        for j in joints
+    )  # fmt: skip
+    dq = rng.choice([-1.0, 1.0], 6) * rng.uniform(0.5, 3.0, 6)
+    feed_forward = Friction(joints, 0.01).torque(dq, dq, tau_law, factor)
+    assert feed_forward == pytest.approx(-sliding(scaled, dq, tau_law + feed_forward), rel=1e-9, abs=1e-12)
+
+
+@given(SEEDS, st.floats(0.5, 2.0))
+def test_a_factor_of_one_and_any_of_joints_without_load_friction_change_no_bit(seed: int, factor: float) -> None:
+    """Older logs replay: Γ by the file, times sign and factor."""
+    rng = np.random.default_rng(seed)
+    joints, (dq_ref, dq, tau) = some(rng, 6), rng.normal(scale=0.3, size=(3, 6))
+    alone = tuple(j._replace(load=0.0, breakaway_load=0.0) for j in joints)
+    for of, times in ((joints, 1.0), (alone, factor)):
+        expected = []
+        for j, v_ref, v, rest in zip(of, dq_ref.tolist(), dq.tolist(), tau.tolist(), strict=True):
+            sign, drag, left = math.tanh(v_ref * (1.0 / 0.05)), j.viscous_Nm_s_per_rad * v_ref, j.breakaway_left(v)
+            by_file = solved(j.coulomb_Nm + j.breakaway_Nm * left, j.load + j.breakaway_load * left, rest + drag, sign)
+            expected.append(times * sign * by_file + drag)
+        assert Friction(of, 0.05).torque(dq_ref, dq, tau, times).tolist() == expected
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5, 2.5])
+@pytest.mark.parametrize("load", [0.3, 0.6, 0.97])
+def test_however_large_a_factor_is_the_feed_forward_is_bounded_and_goes_through_zero_smoothly(
+    factor: float, load: float
+) -> None:
+    joint = JointFriction(0.1, 0.0, load=load)
+    friction, speeds = Friction((joint,), 0.05), np.arange(-0.2, 0.2, 1e-4)
+    tau = np.array([friction.torque(np.array([v]), np.array([v]), np.array([0.8]), factor)[0] for v in speeds])
+    most = factor * (0.1 + load * 0.8) / (1.0 - max(min(factor * load, 0.95), load))
+    assert np.abs(tau).max() <= most * (1.0 + 1e-9)
+    assert np.all(np.diff(tau) > 0.0)
+    steepest = np.abs(np.diff(tau)).max()
+    assert steepest < 1.05 * most * (1.0 + max(min(factor * load, 0.95), load) / 0.03) * 1e-4 / 0.05
+
+
 @given(st.floats(0.0, 1.0), PARTS, st.floats(-5.0, 5.0), st.floats(-1.0, 1.0))
 def test_the_bound_belongs_to_the_torque_that_it_is_part_of(
     constant: float, load: float, tau: float, sign: float

@@ -188,7 +188,11 @@ def test_an_arm_that_takes_up_its_load_and_one_whose_joints_stick_feed_it_forwar
     assert twice is not None
     assert np.abs(twice.tau_friction - once.tau_friction).min() > 1e-3
     if mode is Mode.TRACK:
-        assert twice.tau_friction.tolist() == pytest.approx((2.0 * once.tau_friction).tolist(), rel=1e-12)
+        doubled = Friction((JointFriction(0.2, 0.0, load=2.0 * load),) * 3, 0.05)  # load at the torque that is sent
+        other = replace(agent, offline=replace(agent.offline, friction=doubled))
+        by_file = step(other, state, 0.02, mode, memory).terms
+        assert by_file is not None
+        assert twice.tau_friction.tolist() == pytest.approx(by_file.tau_friction.tolist(), rel=1e-12)
 
 
 def test_what_hangs_on_the_object_is_told_from_the_friction_that_the_arm_has_learned() -> None:
@@ -213,8 +217,9 @@ def test_what_hangs_on_the_object_is_told_from_the_friction_that_the_arm_has_lea
 def test_joints_that_stick_are_fed_so_many_times_what_they_take_and_viscous_friction_is_the_files() -> None:
     dq, tau = np.array([0.2, -0.3]), np.array([1.0, -0.5])
     dry = (JointFriction(0.1, 0.0, 0.05, load=0.1), JointFriction(0.2, 0.0))
-    friction = Friction(dry, 0.05)
-    assert friction.torque(dq, dq, tau, 1.3).tolist() == pytest.approx((1.3 * friction.torque(dq, dq, tau)).tolist())
+    more = Friction((JointFriction(0.13, 0.0, 0.065, load=0.13), JointFriction(0.26, 0.0)), 0.05)
+    fed = Friction(dry, 0.05).torque(dq, dq, tau, 1.3)
+    assert fed.tolist() == pytest.approx(more.torque(dq, dq, tau).tolist(), rel=1e-12)
     glides = Friction((JointFriction(0.1, 0.0), JointFriction(0.2, 0.0)), 0.05)
     assert glides.gliding([0.2, -0.3], 1.3) == pytest.approx([1.3 * x for x in glides.gliding([0.2, -0.3])])
     assert glides.torque(dq, dq, tau, 1.3).tolist() == pytest.approx(glides.gliding([0.2, -0.3], 1.3))
