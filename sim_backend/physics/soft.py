@@ -115,10 +115,10 @@ class SoftPlant:
         """M, c, G and φ at the present pose, and for how many substeps they will do."""
         J, h, v, pads, M, G = self.joint_count, self._h, self._v, self._pads, self._M, self._openings.G
         T = self._T
+        pads.turn(T.rotation)
         M[:J, :J], self._c[:J] = self._arms.terms(self._q, v[:J])
         self._c[J:] = self._body.terms(T.rotation, v[J + 3 :], M[J:, J:]) - self._push
-        self._phi = self._phi0 = self._openings.measure(T, pads.closed)
-        pads.turn(T.rotation)
+        self._phi = self._phi0 = self._openings.measure(T, pads.closed, pads.slipped)
         GtK, GtC = G.T * pads.K.ravel(), G.T * pads.C.ravel()
         stiff, damped = GtK.dot(G), GtC.dot(G)
         self._stiff = h * stiff
@@ -222,8 +222,13 @@ class SoftPlant:
         """Let springs beyond their bound give way, and grasps that have slipped too far open."""
         self._arrive()
         pads, before = self._pads, self._pads.slipped.copy()
-        opened = pads.slip(self._phi, self._T.rotation)
-        self._pull -= (self._openings.G.T * pads.K.ravel()).dot((pads.slipped - before).ravel())
+        opened = pads.slip(self._phi, self._T0.rotation)  # openings are in the linearisation's axes
+        gave = pads.slipped - before
+        if not gave.any():
+            return
+        self._pull -= (self._openings.G.T * pads.K.ravel()).dot(gave.ravel())
+        if not all(map(self._openings.touches, np.flatnonzero(gave.any(axis=1)).tolist())):
+            self._left = 0
         for grasp in opened:
             self.release(self.spec.names[grasp])
 
@@ -251,7 +256,8 @@ class SoftPlant:
         D, f = self._acted
         dq, friction = v[:J].copy(), -D * self._mean[:J]
         self.servos.command(tau_cmd_Nm)
-        W = pads.closed * (pads.K * (self._phi - pads.slipped) + pads.C * self._openings.G.dot(v).reshape(-1, 6))
+        pulls = pads.K * (self._phi - pads.slipped) + pads.C * self._openings.G.dot(v).reshape(-1, 6)
+        W = self._openings.wrenches(pads.closed * pulls)
         gap_m, gap_rad = self._openings.gaps(self._phi, pads.closed)
         potential, gears = self._arms.potential(self._q) + self._body.potential(self._T), self._gears
         energy = 0.5 * float(v @ self._M @ v) + potential + pads.energy(self._phi)
