@@ -88,6 +88,31 @@ def test_cone_projection_makes_principal_moments_physical_and_comes_no_farther_f
 
 @given(SEEDS)
 @examples(60)
+def test_with_equal_gains_a_cone_projection_may_raise_v_eightfold_at_most(seed: int) -> None:
+    """The norm of the second moments squared is between 1/4 and 2 times that of the six moments."""
+    rng = np.random.default_rng(seed)
+    bodies, truth = rng.normal(size=(5, 10)), np.stack([random_body(rng, 3.0) for _ in range(5)])
+    found = to_physical(bodies)
+    after, before = (((x - truth)[:, 4:] ** 2).sum(axis=1) for x in (found, bodies))
+    assert (after <= 8.0 * before * (1.0 + 1e-9)).all()
+
+
+def test_with_equal_gains_a_cone_projection_does_raise_v() -> None:
+    """A body with one moment below zero: its second moments come nearer to a thin plate's, its moments do not."""
+    rng, grew = np.random.default_rng(3), 0
+    for _ in range(300):
+        A = rng.normal(size=(3, rng.integers(1, 4)))
+        inertia = np.trace(A @ A.T) * np.eye(3) - A @ A.T
+        truth = np.concatenate([[1.0, 0.0, 0.0, 0.0], inertia[np.tril_indices(3)]])
+        body = truth.copy()
+        body[4:] += rng.normal(size=6) * rng.uniform(0.0, 4.0)
+        found = to_physical(body[None])[0]
+        grew += float(np.sum((found - truth) ** 2)) > 1.01 * float(np.sum((body - truth) ** 2))
+    assert grew > 50
+
+
+@given(SEEDS)
+@examples(60)
 def test_cone_projection_leaves_bodies_alone(seed: int) -> None:
     rng = np.random.default_rng(seed)
     bodies = np.stack([random_body(rng, 0.4) for _ in range(7)])

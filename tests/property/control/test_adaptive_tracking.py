@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import pytest
 
 import configs
 from agent.config.cell import Cell, load_cell
+from agent.control import adaptation
 from agent.loop import Outcome
 from agent.safety import Flag
+from drivers.interface import Vector
 from tests.support.plant.inprocess import simulate
 
 BOUND_M = 0.5e-3  # over one period of the motion behind the transient
@@ -27,6 +32,11 @@ IDEAL = (
     'controller.velocity="servo"',
     "controller.friction_feedforward=false",
 )
+NO_LEAK = "controller.adaptive.leak_per_s=0.0"
+CONTINUOUS = (
+    "rate_hz=1000.0", "simulation.substeps_per_cycle=2", "simulation.ready_s=0.0", "safety.noticing.enabled=false",
+    "controller.alignment.enabled=false",
+)  # fmt: skip
 STARTS = {
     "nothing": ('controller.adaptive.start="zero"',),
     "half": ('controller.adaptive.start="nominal"', "controller.adaptive.start_scale=0.5"),
@@ -103,3 +113,65 @@ def test_two_different_arms_share_a_plane() -> None:
     position_m, attitude_rad = simulate(cell, QUARTER_S).after(TRANSIENT_S)
     assert position_m <= 1e-3
     assert attitude_rad <= 2e-3
+
+
+@dataclass(frozen=True)
+class Fallen:
+    """What became of the sum of the logged V of a run: how far it rose above its least before, and fell in all."""
+
+    rose: float
+    fell: float
+    projections: Vector  # by how much each projection to what is physical changed it
+
+
+def lyapunov(monkeypatch: pytest.MonkeyPatch, *overrides: str) -> Fallen:
+    """A second of the shipped gains from θ̂(0) = 0 at 1 kHz, on a plant as configured."""
+    data, cone, changes = adaptation.Adaptation, adaptation.to_physical, list[float]()
+    advance = data.advance
+
+    def watched(self: adaptation.Adaptation, *given: Any) -> Any:
+        def projected(bodies: Vector) -> Vector:
+            found = cone(bodies)
+            if found is not bodies:
+                count = bodies.size
+                before, after = (
+                    ((x.ravel() - self._nominal[:count]) ** 2) @ self._weight[:count] for x in (bodies, found)
+                )
+                changes.append(float(after - before) / 2.0)
+            return found
+
+        monkeypatch.setattr(adaptation, "to_physical", projected)
+        return advance(self, *given)
+
+    monkeypatch.setattr(data, "advance", watched)
+    cell = paper(*IDEAL, *CONTINUOUS, *overrides)
+    assert (cell.file.controller.adaptive.physical, cell.file.controller.adaptive.gamma) == (True, 5e-3)
+    V = np.array(simulate(cell, 1.0).V)
+    return Fallen(float((V - np.minimum.accumulate(V)).max()), float(V[0] - V[-1]), np.array(changes))
+
+
+def test_with_the_shipped_gains_and_what_is_physical_v_falls_in_all_and_rises_by_a_bounded_part(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Neither K' = K nor the proof's projection: 0.099 up and 0.19 down, of 39.8; projections raise it by 0.018."""
+    found = lyapunov(monkeypatch, NO_LEAK)
+    assert 0.05 < found.rose < 0.12
+    assert found.fell > 0.15
+    assert 0.01 < found.projections.sum() < 0.03
+    assert found.projections.max() < 1e-3
+
+
+def test_where_the_reference_acceleration_has_the_gains_of_the_law_v_does_not_rise_though_projections_raise_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = lyapunov(monkeypatch, NO_LEAK, "controller.k_p_rate_per_s=154.0", "controller.k_eps_rate_rad_per_s=128.0")
+    assert found.rose < 1e-3
+    assert found.fell > 0.15
+    assert found.projections.sum() > 0.01
+
+
+def test_with_the_shipped_leak_v_only_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = lyapunov(monkeypatch)
+    assert found.rose < 1e-4
+    assert found.fell > 39.0
+    assert 0.005 < found.projections.sum() < 0.03
