@@ -138,6 +138,17 @@ def test_giving_way_takes_energy_out_of_the_springs_and_never_adds_any(monkeypat
     assert min(changes) < -1e-4
 
 
+def test_a_pad_touches_at_the_end_effector_from_the_substep_after_it_first_gave_way() -> None:
+    plant = soft(spatial_cell(2), SLIPPERY)
+    plant.push(np.array([0.0, 9.0, 2.0, 0.0, 0.2, 0.0]))
+    tau = np.zeros(plant.joint_count)
+    while not plant._pads.slip_m[0]:
+        assert not plant._openings.touches(0)
+        plant.advance(tau, 1)
+    plant.advance(tau, 1)
+    assert plant._openings.touches(0)
+
+
 def test_what_has_slipped_turns_with_the_object_over_many_linearisations() -> None:
     spec = replace(planar_cell(viscous(3), names=("left",)), gravity=np.zeros(3))
     plant, tau = soft(spec, GraspSpec(2e3, 2.0, damping_ratio=1.0, slip_N=4.0)), np.zeros(3)
