@@ -53,7 +53,8 @@ def on_cluster(tasks: Sequence[Task], address: str, tell: Callable[[str], None] 
         try:
             yield from _done(distributed, client, tasks, address, tell)
         finally:
-            client.close()
+            with contextlib.suppress(OSError):  # of a scheduler that has gone
+                client.close()
 
 
 def _done(
@@ -61,9 +62,10 @@ def _done(
 ) -> Iterator[Done]:
     watch = _Watch(client, address, tell)
     watch.look("yet")
-    futures = {client.submit(pickle.loads, pickle.dumps(_Call(task)), pure=False, retries=ATTEMPTS - 1): task
-               for task in tasks}  # fmt: skip
-    coming = distributed.as_completed(futures, loop=client.loop)
+    with _answering(distributed, address):
+        futures = {client.submit(pickle.loads, pickle.dumps(_Call(task)), pure=False, retries=ATTEMPTS - 1): task
+                   for task in tasks}  # fmt: skip
+        coming = distributed.as_completed(futures, loop=client.loop)
     while futures:
         for future in coming.next_batch(block=False):
             task = futures.pop(future)
@@ -152,6 +154,24 @@ def _client(distributed: Any, address: str) -> Any:
         raise _no_answer(address, error) from error
 
 
+@contextmanager
+def _answering(distributed: Any, address: str) -> Iterator[None]:
+    """For what is asked of the scheduler, or by way of it.  Raises StudyError where it has gone."""
+    try:
+        yield
+    except (OSError, CancelledError, distributed.client.ClosedClientError) as error:
+        raise _gone(address) from error
+
+
+def _gone(address: str) -> StudyError:
+    return StudyError(
+        f"scheduler {address}",
+        found="it is gone, or was told to give up the runs",
+        expected="one that stays until they are done",
+        remedy="start it again, and the study with the same --out: finished runs are kept",
+    )
+
+
 def _no_answer(address: str, error: Exception) -> StudyError:
     why = type(error).__name__ if isinstance(error, OSError) else str(error)
     return _no_scheduler(address, f"no answer ({why})")
@@ -176,15 +196,12 @@ def _result(distributed: Any, client: Any, future: Any, task: Task, address: str
             expected="workers that live",
             remedy="see the workers' logs",
         ) from error
-    except CancelledError as error:
-        raise StudyError(
-            f"scheduler {address}",
-            found="it is gone, or was told to give up the runs",
-            expected="one that stays until they are done",
-            remedy="start it again, and the study with the same --out: finished runs are kept",
-        ) from error
-    except _UNABLE as error:
-        if not (unable := _unable(client)):
+    except (CancelledError, *_UNABLE) as error:
+        if future.status != "error":  # not the run has failed, but what brings its result
+            raise _gone(address) from error
+        with _answering(distributed, address):
+            unable = _unable(client)
+        if not unable:
             raise
         who, why = min(unable.items())
         raise StudyError(

@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -960,6 +961,94 @@ def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told_
             list(runs)
     assert logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)
     assert told == [f"scheduler {address} has no workers yet: start some with `dask worker {address}`"]
+
+
+class _Ended:
+    """A run that came to its end on a cluster whose scheduler died at some moment."""
+
+    def __init__(self, status: str, raised: BaseException) -> None:
+        self.status = status
+        self._raised = raised
+
+    def result(self) -> object:
+        raise self._raised
+
+
+SILENT = TimeoutError("Timed out trying to connect to tcp://127.0.0.1:18786 after 10 s")
+
+
+@pytest.mark.parametrize(
+    ("status", "raised", "asked"),
+    [
+        ("finished", SILENT, None),
+        ("finished", ConnectionError("it is gone"), {}),
+        ("cancelled", CancelledError("scheduler-connection-lost"), None),
+        ("error", ImportError("no agent"), SILENT),
+        ("error", OSError("it cannot be read"), ConnectionError("it is gone")),
+        ("error", AttributeError("perform"), CancelledError("gone")),
+    ],
+)
+def test_a_scheduler_that_dies_is_the_same_line_whatever_it_was_asked_for(
+    plan: Plan, status: str, raised: BaseException, asked: BaseException | dict[str, object] | None
+) -> None:
+    import distributed
+
+    from agent.study import cluster
+
+    def run(*_: object, **__: object) -> object:
+        assert asked is not None
+        if isinstance(asked, BaseException):
+            raise asked
+        return asked
+
+    words = r"scheduler tcp://here: found it is gone, .* start it again, and the study with the same --out"
+    with pytest.raises(StudyError, match=words):
+        cluster._result(distributed, SimpleNamespace(run=run), _Ended(status, raised), plan.tasks()[0], "tcp://here")
+
+
+def test_a_run_that_cannot_read_a_file_where_all_is_well_with_the_scheduler_raises_it(plan: Plan) -> None:
+    import distributed
+
+    from agent.study import cluster
+
+    client = SimpleNamespace(run=lambda *_, **__: {"tcp://one": True})
+    with pytest.raises(OSError, match="it cannot be read"):
+        cluster._result(distributed, client, _Ended("error", OSError("it cannot be read")), plan.tasks()[0], "tcp://a")
+
+
+@pytest.mark.parametrize("when", ["submit", "as_completed"])
+def test_a_scheduler_that_dies_before_the_runs_are_with_it_is_that_line_too(plan: Plan, when: str) -> None:
+    import distributed
+
+    from agent.study import cluster
+
+    def gone(*_: object, **__: object) -> object:
+        raise distributed.client.ClosedClientError("Client is closed") if when == "submit" else SILENT
+
+    client = SimpleNamespace(scheduler_info=lambda: {"workers": []}, submit=gone, loop=None)
+    if when == "as_completed":
+        client.submit = lambda *_, **__: object()
+    seen = SimpleNamespace(as_completed=gone, client=distributed.client)
+    with pytest.raises(StudyError, match="scheduler tcp://here: found it is gone"):
+        list(cluster._done(seen, client, plan.tasks(), "tcp://here", lambda _: None))
+
+
+def test_a_client_that_cannot_say_goodbye_to_a_dead_scheduler_hides_no_line(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from agent.study import cluster
+
+    def close() -> None:
+        raise SILENT
+
+    def submit(*_: object, **__: object) -> object:
+        raise CancelledError("gone")
+
+    client = SimpleNamespace(scheduler_info=lambda: {"workers": []}, submit=submit, loop=None, close=close)
+    monkeypatch.setattr(cluster, "_require_answer", lambda *_: None)
+    monkeypatch.setattr(cluster, "_client", lambda *_: client)
+    with pytest.raises(StudyError, match="scheduler tcp://here: found it is gone"):
+        list(cluster.on_cluster(plan.tasks(), "tcp://here"))
 
 
 def test_a_scheduler_whose_last_worker_goes_is_told_once_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
