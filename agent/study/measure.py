@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.config.cell import Cell
 from agent.config.reality import draw
-from agent.config.schema.fault import Fault
+from agent.config.schema.fault import NS, Fault
 from agent.config.schema.reality import Reality
 from agent.control.internal_force import internal_wrenches as asked_of_all
 from agent.control.quaternion import angle_between
@@ -117,7 +117,7 @@ class _Seen:
 
     def note(self, t: float, p: Vector, quat: Vector, wrench: Vector, run: Run) -> str:
         """Take over an observation of time t; what says that the object is lost, or nothing."""
-        desired = self._trajectory.at(max(t + self._skew_s(run), 0.0))
+        desired = self._trajectory.at(max(self._by_the_anchor(t, run), 0.0))
         q = tuple(quat.tolist())
         off_m, off_rad = math.dist(p.tolist(), desired.p), angle_between(q, desired.quat)
         own_m = own_rad = 0.0
@@ -131,9 +131,12 @@ class _Seen:
             return f"t = {t:.3f} s: the object is off by {off_m * 1e3:.0f} mm, {off_rad:.2f} rad"
         return ""
 
-    def _skew_s(self, run: Run) -> float:
-        """The motion is timed by the anchor's clock: nobody can tell when the others should have been anywhere."""
-        return run.plant.spec.arms[self._anchor].skew_s
+    def _by_the_anchor(self, t: float, run: Run) -> float:
+        """The same instant by the anchor's clock, s: nobody can tell when the others should have been anywhere.
+
+        In whole nanoseconds, as the arm itself counts it.
+        """
+        return (round(t * 1e9) + round(run.plant.spec.arms[self._anchor].skew_s * 1e9)) * NS
 
     def result(self, run: Run, index: int, seed: int, lost: tuple[float, str] | None) -> RunResult:
         """The figures of the whole run; lost: when and why it ended early."""

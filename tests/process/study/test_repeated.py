@@ -47,8 +47,8 @@ def test_what_befell_the_worst_run_of_a_study_befalls_its_arms_in_coop_run_in_th
         assert np.array_equal(np.array([getattr(s, name) for s in seen]), both), name
     assert np.array_equal(np.array([s.grasp_wrench.ravel() for s in seen]), rows["grasp_wrench"][:, :12])
     told, row = json.loads((tmp_path / "out/results.json").read_text()), measure(studied, reality, 3, 11, faults)
-    assert told["max_position_error_m"] == pytest.approx(row.position_error_m, rel=1e-6)
-    assert told["max_attitude_error_rad"] == pytest.approx(row.attitude_error_rad, rel=1e-6)
+    assert told["max_position_error_m"] == pytest.approx(row.position_error_m, rel=1e-12)
+    assert told["max_attitude_error_rad"] == pytest.approx(row.attitude_error_rad, rel=1e-10)
     assert told["internal_force_mean_N"] == pytest.approx(row.internal_force_mean_N, rel=1e-2)
     held = log.agents["right"]["mode"] == Mode.HOLD
     assert np.flatnonzero(held)[0] == 20 + 41 + 1, "stopped in the cycle of 0.205 s, it holds in the next"

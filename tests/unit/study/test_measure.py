@@ -317,6 +317,18 @@ def test_the_motion_is_timed_by_the_anchors_clock(monkeypatch: pytest.MonkeyPatc
     assert result(monkeypatch, skew_s=0.3)[0].position_error_m == pytest.approx(1e-3)
 
 
+def test_the_anchors_clock_counts_whole_nanoseconds_as_the_arm_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+    moving = motion()
+    watched = SimpleNamespace(at=lambda t: (asked.append(t), moving.at(t))[1])
+    monkeypatch.setattr(type(cell()), "trajectory", lambda _: watched)
+    result(monkeypatch, skew_s=0.002047282543643362)
+    asked = [t for t in asked if t]
+    stamps_ns = [round(t * 1e9) for t in asked]
+    assert asked == [stamp * 1e-9 for stamp in stamps_ns], "the product that is an arm's time `t`"
+    assert {stamp % 1_000_000 for stamp in stamps_ns} == {47_283}
+
+
 def test_a_reaction_is_that_of_an_arm_that_nothing_befell_and_not_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
     trips = [Trip(1.0, "right", Flag.UNEXPECTED), Trip(2.1, "left", Flag.UNEXPECTED), Trip(2.3, "right", Flag.NONE)]
     late, first = (Fault(kind=FaultKind.LIMP, arm="left", at_s=at) for at in (2.5, 2.0))
