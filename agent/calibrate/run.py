@@ -36,17 +36,22 @@ class Files:
 
 
 def calibrate(
-    logs: Sequence[Path], changes: Sequence[str] = (), tell: Callable[[str], None] = lambda _: None
+    logs: Sequence[Path],
+    changes: Sequence[str] = (),
+    tell: Callable[[str], None] = lambda _: None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> Calibrated:
     """Calibrate the cell of one log, or of several of one cell that have the arms between them.
 
-    changes: of its [tolerance], "tolerance.key=value"; tell: what is being done.  Raises LogError, ReplayError,
-    ConfigError or CalibrateError.
+    changes: of its [tolerance], "tolerance.key=value"; tell: what is being done; warn: of what is wrong with a
+    log, or not in it.  Raises LogError, ReplayError, ConfigError or CalibrateError.
     """
     _refuse_others(changes)
     tell("reading the log")
     with ExitStack() as stack:
         opened = [stack.enter_context(open_log(log)) for log in logs]
+        for line in (f"{log.path}: {remark}" for log in opened for remark in log.remarks):
+            warn(line)
         cells = [recorded_cell(log) for log in opened]
         for log, cell in zip(logs, cells, strict=True):
             _refuse_rehearsal(cell, log)

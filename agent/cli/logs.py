@@ -171,7 +171,7 @@ def calibrate(
     from agent.calibrate.show import estimates_table, lines
 
     with Steps() as step:
-        result = calibrate_logs(logs, change, tell=step)
+        result = calibrate_logs(logs, change, step, note)
     if not as_json:
         console().print(estimates_table(result))
         typer.echo("\n".join(lines(result)))

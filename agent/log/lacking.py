@@ -7,6 +7,7 @@ from typing import Final
 
 _WHERE: Final = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
 _EXPECTED: Final = ".rows_expected"
+_RECORDED: Final = ".rows_recorded"
 
 
 def missing(completeness: Mapping[str, str]) -> list[str]:
@@ -31,23 +32,25 @@ def missing(completeness: Mapping[str, str]) -> list[str]:
 
 
 def lacking(
-    completeness: Mapping[str, str], rows: Mapping[str, int], absent: Mapping[str, int], arms: Sequence[str]
-) -> list[str]:
-    """Rows that are not in a file although nothing that its recorder said is the reason, by member.
+    completeness: Mapping[str, str], rows: Mapping[str, int], absent: Mapping[str, int], members: Sequence[str]
+) -> dict[str, str]:
+    """Rows that are not in a file although nothing that its recorder said is the reason, in words by member.
 
     rows: of each member that the file names; absent: how many their numbers leave out, which says something only where
-    the recorder counted none, for a row that came late is in a later log than its neighbours; arms: of the run.
+    the recorder counted none, for a row that came late is in a later log than its neighbours; members: of the run, as
+    far as it is described, beside those that its recorder counted rows of.
     """
-    found = []
-    for member in dict.fromkeys((*rows, *arms)):
+    found = {}
+    counted = [key.removesuffix(_RECORDED) for key in completeness if key.endswith(_RECORDED)]
+    for member in dict.fromkeys((*rows, *members, *counted)):
         have, told = rows.get(member, 0), f"{member}.rows_recorded" in completeness
         recorded = sum(_count(completeness.get(f"{member}.{key}", "0")) for key in ("rows_recorded", "late_rows"))
         if have < recorded:
-            found.append(f"{recorded - have} of the {recorded} rows of {member} that were recorded are not in it")
+            found[member] = f"{recorded - have} of the {recorded} rows of {member} that were recorded are not in it"
         elif not have and not told:
-            found.append(f"no row of {member} is in it")
+            found[member] = f"no row of {member} is in it"
         elif absent.get(member) and not told:
-            found.append(f"{absent[member]} rows of {member} are not in it")
+            found[member] = f"{absent[member]} rows of {member} are not in it"
     return found
 
 

@@ -21,10 +21,11 @@ from agent.host.info import RUN_FILE
 from agent.log.collect import Collected, LogError, Needs
 from agent.log.columns import ColumnFile, StoredRows, Table
 from agent.log.lacking import lacking, missing
+from agent.log.misfits import config_id_of, misnumbered, of_another_configuration
 from agent.log.servos import ServoTable, servo_table
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, Layout
-from agent.telemetry.row.topics import PLANT
+from agent.telemetry.row.topics import PLANT, RECORDER
 
 __all__ = ["AnyLog", "ColumnLog", "Event", "Level", "LogError", "RunLog", "open_log", "read_log"]
 
@@ -52,6 +53,8 @@ class Log(Generic[Rows]):
     lacks: tuple[str, ...] = field(default=())  # what of the run is not in it, for a person
     layouts: Mapping[str, Layout] = field(default_factory=dict)  # by member, as the log's own schemas have them
     servos: Mapping[str, ServoTable] = field(default_factory=dict)  # by arm; simulated arms have no servos, so no entry
+    unjudged: tuple[str, ...] = field(default=())  # of problems and lacks: those with which no figure is of the run
+    misnumbered: Mapping[str, Rows] = field(default_factory=dict)  # by member: rows left out for their numbers, if any
 
     @property
     def remarks(self) -> list[str]:
@@ -136,6 +139,12 @@ def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows
     problems = collected.problems
     twice = "are in the log more than once, and count once"
     problems += [f"{count} of {what} {twice}" for what, count in again.items() if count]
+    strays = _without_strays(rows, collected.layouts, problems)
+    run: dict[str, Any] = _described_run(collected)
+    recorder: Mapping[str, str] = collected.metadata.get(RECORDER, {})
+    config_id = config_id_of(run.get("fingerprint"), recorder)
+    foreign: list[str] = of_another_configuration(rows, collected.layouts, config_id)
+    problems += foreign
     agents = {member: own for member, own in rows.items() if member != PLANT}
     if not agents:
         raise LogError(
@@ -147,10 +156,12 @@ def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows
     told: Mapping[str, str] = collected.metadata.get(COMPLETENESS, {})
     gaps = {member: _gaps(own["sequence"], of_plant=member == PLANT) for member, own in rows.items()}
     absent = {member: sum(last - first + 1 for first, last in own) for member, own in gaps.items() if member != PLANT}
-    gone: list[str] = lacking(told, {member: len(own) for member, own in rows.items()}, absent, _arms(collected))
+    have: dict[str, int] = {member: len(own) + len(strays.get(member, ())) for member, own in rows.items()}
+    members = [*_arms(run), *([PLANT] if recorder.get("plant") == "true" else [])]
+    gone: dict[str, str] = lacking(told, have, absent, members)
     left_out = int(collected.metadata.get(RECOVERY, {}).get("damaged", "0"))
     complete = told.get("complete") == "true" and not problems and not gone and not left_out
-    lacks = [*missing(told), *gone]
+    lacks = [*missing(told), *gone.values()]
     if not complete and not lacks and not problems:
         lacks = ["what is damaged was left out when it was mended" if left_out else _unfinished(told)]
     return Log(
@@ -167,15 +178,21 @@ def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows
         lacks=tuple(lacks),
         layouts=collected.layouts,
         servos=_servos(collected, agents),
+        unjudged=(*foreign, *(text for member, text in gone.items() if not have.get(member))),
+        misnumbered=strays,
     )
 
 
-def _arms(collected: Collected[Any]) -> list[str]:
-    """Names of the arms whose rows the log is to have, as far as the file tells; in older logs all of the cell."""
+def _described_run(collected: Collected[Any]) -> dict[str, Any]:
+    """What the file tells of its run; nothing where that is not there."""
     try:
-        told = _described(json.loads(collected.attachments[RUN_FILE]))
+        return _described(json.loads(collected.attachments[RUN_FILE]))
     except (KeyError, ValueError, RecursionError):
-        return []
+        return {}
+
+
+def _arms(told: Mapping[str, Any]) -> list[str]:
+    """Names of the arms whose rows the log is to have, as far as the run tells; in older logs all of the cell."""
     named: Any = told.get("taking_part")
     if not isinstance(named, list):
         arms = told.get("arms")
@@ -197,10 +214,33 @@ def _by_sequence(rows: AnyRows) -> AnyRows:
     if np.all(sequence[1:] > sequence[:-1]):
         return rows
     _, first = np.unique(sequence, return_index=True)
-    ordered = rows[first]
-    if isinstance(ordered, np.ndarray):
-        ordered.flags.writeable = False
-    return ordered
+    return _chosen(rows, first)
+
+
+def _chosen(rows: AnyRows, which: NDArray[np.intp]) -> AnyRows:
+    chosen = rows[which]
+    if isinstance(chosen, np.ndarray):
+        chosen.flags.writeable = False
+    return chosen
+
+
+def _without_strays(rows: dict[str, AnyRows], layouts: Mapping[str, Layout], problems: list[str]) -> dict[str, AnyRows]:
+    """Take out of `rows`, and return, those whose number is of another time; `problems` is told of them."""
+    strays: dict[str, AnyRows] = {}
+    for member, own in rows.items():
+        wrong, all_told = misnumbered(own, layouts[member], of_plant=member == PLANT)
+        if not all_told:
+            problems.append(f"the numbers of the rows of {member} do not go up with their times")
+        if not len(wrong):
+            continue
+        strays[member] = taken = _chosen(own, wrong)
+        rows[member] = _chosen(own, np.delete(np.arange(len(own)), wrong))
+        number, t = int(taken["sequence"][0]), float(taken["t"][0])
+        problems.append(
+            f"{len(wrong)} of the rows of {member} are left out: their numbers do not fit their times (the first: "
+            f"{number} at {t:.3f} s)"
+        )
+    return strays
 
 
 def _gaps(sequence: NDArray[np.uint64], *, of_plant: bool) -> Gaps:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from agent.log.columns import BLOCK_ROWS, Table
 from agent.log.read import ColumnLog
 from agent.log.run import members_of
+from agent.replay.comparison import TORQUES, ArmComparison, Comparison, Difference
 from agent.replay.source import ReplayError
-from agent.replay.verify import TORQUES, ArmComparison, Comparison, Difference
 from agent.telemetry.row.sample import Layout
 
 

@@ -11,9 +11,10 @@ from rich.table import Table
 
 from agent.host.info import versions
 from agent.log.read import AnyLog, LogError
-from agent.replay.verify import Comparison, Difference
+from agent.replay.comparison import Comparison, Difference
 from agent.replay.whatif import ArmTorques
 from agent.report.quantity import json_ready
+from agent.telemetry.row.topics import PLANT
 
 SCHEMA: Final = 1
 ROUNDING_Nm: Final = 1e-9  # of torques: what another processor or library may leave
@@ -23,6 +24,9 @@ def comparison_lines(compared: Comparison) -> list[str]:
     """What was compared, what differs, and where it begins."""
     lines = []
     for arm in compared.arms:
+        if arm.arm == PLANT:  # which no law gives: it is here for rows that are of no run of this cell
+            lines.append(f"{arm.arm:<12} {arm.rows} rows looked at, {arm.different} are wrong")
+            continue
         differ = f"{arm.different} differ, torque by up to {arm.torque_difference_Nm:.3g} N·m"
         told = (
             f"{arm.rows} rows replayed, {differ if arm.different else 'all equal'}" if arm.rows else "no row replayed"

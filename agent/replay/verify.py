@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,8 @@ from agent.log.read import ColumnLog
 from agent.loop import Agent
 from agent.modes import Mode, mode_of
 from agent.replay.chain import Chain
+from agent.replay.comparison import TORQUES, ArmComparison, Comparison, Difference
+from agent.replay.misfits import of_the_plant, with_misnumbered
 from agent.replay.rows import Readable, Window, arms_of, blocks
 from agent.replay.source import ReplayError
 from agent.replay.tick import Rows, is_fresh
@@ -31,68 +32,10 @@ from agent.telemetry.row.sample import AGENT_FIELDS, AGENT_STATE
 from drivers.interface import JointState, Vector
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """The first field of a row that came out otherwise."""
-
-    arm: str
-    row: int  # sequence number
-    t_s: float
-    field: str
-    index: int | None  # in an array
-    recorded: float | str
-    replayed: float | str
-    fields: tuple[str, ...]  # all that differ in that row
-
-
-TORQUES: Final = frozenset({"tau_cmd", "tau_limited"})  # of which the largest difference is told
-
-
-@dataclass(frozen=True, slots=True)
-class ArmComparison:
-    """One arm's rows against the same rows computed again."""
-
-    arm: str
-    rows: int  # compared
-    different: int
-    left_out: int  # in the window, but without a memory to begin with
-    first: Difference | None
-    torque_difference_Nm: float  # largest, of what the law asks for and of what the limits leave of it
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """All arms; `notes` say what the comparison could not cover."""
-
-    arms: tuple[ArmComparison, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def rows(self) -> int:
-        """Rows compared."""
-        return sum(arm.rows for arm in self.arms)
-
-    @property
-    def different(self) -> int:
-        """Rows of which some field differs."""
-        return sum(arm.different for arm in self.arms)
-
-    @property
-    def first(self) -> Difference | None:
-        """The earliest row that differs."""
-        found = [arm.first for arm in self.arms if arm.first is not None]
-        return min(found, key=lambda d: d.row, default=None)
-
-    @property
-    def equal(self) -> bool:
-        """Whether every row of the window was compared and none differs."""
-        return not self.different and not any(arm.left_out for arm in self.arms)
-
-
 def verify(
     log: ColumnLog, cell: Cell, window: Window, arm: str | None = None, tell: Callable[[str], None] = lambda _: None
 ) -> Comparison:
-    """Replay the rows of the window through agents of the log's own cell.
+    """Replay the rows of the window through agents of the log's own cell; of all arms with a look at the plant's.
 
     Raises ReplayError where nothing can be compared, ConfigError for an arm that the cell has not.
     """
@@ -107,13 +50,13 @@ def verify(
         rows = window.of(log.agents[name])
         looped = name in cell.file.looped
         checked = _Verifier(build_agent(cell, cell.arm(name)), cell.config_id, readable, in_the_loop=looped)
-        arms.append(checked.run(rows, blocks(rows, layout, readable)))
-    compared = Comparison(tuple(arms), tuple(notes))
-    if not compared.rows:
+        compared = checked.run(rows, blocks(rows, layout, readable))
+        arms.append(with_misnumbered(compared, log, window))
+    if not any(compared.rows for compared in arms):
         raise ReplayError(
             f"nothing to replay{f' of {arm}' if arm else ''} in {log.path}", expected="rows of an arm", **window.lacking
         )
-    return compared
+    return Comparison((*arms, *(of_the_plant(log, cell, window) if arm is None else ())), tuple(notes))
 
 
 class _Verifier:

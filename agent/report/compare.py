@@ -70,10 +70,14 @@ class Difference:
 
 
 def compare(a: Results, b: Results) -> list[Difference]:
-    """Every figure of either run, headline first; figures closer than TOLERANCE (relative) count as the same."""
+    """Every figure of either run, headline first; figures closer than TOLERANCE (relative) count as the same.
+
+    None is better or worse where one of the runs cannot be judged.
+    """
     first, second = a.flat(), b.flat()
     names = [*HEADLINE, *(n for n in first if n not in HEADLINE), *(n for n in second if n not in first)]
-    return [_difference(name, first.get(name), second.get(name)) for name in names]
+    judged = a.judged and b.judged
+    return [_difference(name, first.get(name), second.get(name), judged=judged) for name in names]
 
 
 def comparison_table(
@@ -93,11 +97,11 @@ def comparison_table(
     return table
 
 
-def _difference(name: str, a: Quantity | None, b: Quantity | None) -> Difference:
+def _difference(name: str, a: Quantity | None, b: Quantity | None, *, judged: bool) -> Difference:
     known = a or b
     assert known is not None  # the name came from one of the two
     left, right = (q.value if q else float("nan") for q in (a, b))
-    return Difference(name, known.unit, left, right, _change(left, right, known.better))
+    return Difference(name, known.unit, left, right, _change(left, right, known.better if judged else Better.NEITHER))
 
 
 def _change(a: float, b: float, better: Better) -> Change:

@@ -93,6 +93,7 @@ def summarise_prepared(run: Prepared) -> Results:
         set_down_error_rad=set_down[1],
         together=found_together(run),
         loss=loss_of(run),
+        judged=not run.log.unjudged,
     )
 
 

@@ -38,7 +38,7 @@ class Pace:
         late_s = np.where(is_stale(ends), 0.0, ends["late_s"])  # a row without a state is stamped with its deadline
         passed_s = 1e-9 * float(int(ends["stamp_ns"][1]) - int(ends["stamp_ns"][0])) - float(late_s[1] - late_s[0])
         due, ran = (1 + round(n) for n in (passed_s * rate_hz, int(ends["sequence"][1]) - int(ends["sequence"][0])))
-        return Pace(max(due, ran), max(0, due - ran))
+        return Pace(due, max(0, due - ran))
 
     @property
     def kept(self) -> bool:

@@ -76,7 +76,8 @@ def prepare(log: AnyLog) -> Prepared:
     """Find the rows of the run, match the plant's with the arms'.  A poor log is prepared too: `missing` says why."""
     info = read_info(log)
     described = [arm.name for arm in info.arms]
-    missing = [*info.notes, *log.problems, *_mended(log), *_parted(log), *_losses(log, described), *_strangers(log)]
+    wrong = dict.fromkeys((*log.problems, *log.unjudged))
+    missing = [*info.notes, *wrong, *_mended(log), *_parted(log), *_losses(log, described), *_strangers(log)]
     in_order = sorted(log.agents, key=lambda name: described.index(name) if name in described else len(described))
     tables = by_one_clock({name: Table.of(log.agents[name]) for name in in_order})
     whole = {name: tables[name] for name in described if len(tables.get(name, ()))}

@@ -180,6 +180,7 @@ class Results:
     set_down_error_rad: Radians = NAN
     together: FoundTogether | None = None  # None where alignment took nothing off
     loss: Loss | None = None  # of the object or a grasp; None: nothing tells the truth
+    judged: bool = True  # False: of a log without a whole member, or with rows of another configuration
 
     @property
     def error_source(self) -> str:
@@ -197,10 +198,10 @@ class Results:
         if bounded not in self.info.bounds:
             return None
         value = self.headline(bounded.value)
-        if value > self.info.bounds[bounded]:
+        if self.judged and value > self.info.bounds[bounded]:
             return Judgement.NOT_MET
         sources = [self.by_plant] if self.by_plant else [self.by_arm.get(arm.name) for arm in self.info.arms]
-        whole = all(e is not None and e.whole for e in sources)
+        whole = self.judged and all(e is not None and e.whole for e in sources)
         return Judgement.MET if whole and not math.isnan(value) else Judgement.NOT_SHOWN
 
     @property
@@ -293,8 +294,7 @@ class Results:
             "set_down_error_m": self.set_down_error_m,
             "set_down_error_rad": self.set_down_error_rad,
         }
-        out: dict[str, Any] = json_ready(plain)
-        return out
+        return dict(json_ready(plain))
 
 
 HEADLINE: Final = ("max_position_error_m", "max_attitude_error_rad", "rms_position_error_m", "rms_attitude_error_rad")

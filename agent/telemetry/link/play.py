@@ -57,14 +57,14 @@ class PlayReport:
     rows: int
     events: int
     loops: int  # times played to the end
-    problems: tuple[str, ...]  # what is wrong with the log
+    problems: tuple[str, ...]  # what is wrong with the log, and what is not in it
 
 
 def run(options: PlayOptions, stop: Callable[[], bool], ready: Callable[[str], None] = lambda _: None) -> PlayReport:
     """Play until the end, or `stop`; `ready` gets the endpoint.  Raises LogError, NetworkError."""
     with ExitStack() as stack:
         log = stack.enter_context(open_log(options.path))
-        report, tracks = PlayReport(0, 0, 0, log.problems), _tracks(options, log)
+        report, tracks = PlayReport(0, 0, 0, tuple(log.remarks)), _tracks(options, log)
         player = _Player(tracks, options)
         opened = stack.enter_context(open_session(options.network))
         publishers = {

@@ -29,10 +29,12 @@ class LogMaker:
         has_plant: bool = True,
         min_free_bytes: int = 1 << 20,
         arms: Mapping[str, tuple[str, ...]] = ARMS,
+        about: Mapping[str, str] | None = None,
     ) -> None:
+        """about: what the recorder tells of itself beside its host."""
         attachments = [Attachment("run.json", "application/json", RUN_JSON)]
-        about = {"recorder": {"host": "bench"}}
-        self.file = LogFile(path, attachments, about, created_ns=1, min_free_bytes=min_free_bytes)
+        recorder = {"recorder": {"host": "bench", **(about or {})}}
+        self.file = LogFile(path, attachments, recorder, created_ns=1, min_free_bytes=min_free_bytes)
         self.channels = LogChannels(self.file, scene(CELL, arms), has_plant=has_plant)
         self._now_s = 1e9
 

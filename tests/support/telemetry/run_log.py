@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from mcap.writer import Writer
@@ -19,27 +20,43 @@ from agent.process.scene import scene_of
 from agent.telemetry.row.received import Rows
 from agent.telemetry.row.sample import AGENT_STATE, Layout
 from agent.telemetry.row.topics import Address, Kind
+from tests.support.telemetry.telemetry_cell import CONFIG_ID
 
 BATCH = 100
 
 
 def write_run(
-    path: Path, cell: Cell, rows: Mapping[str, np.ndarray], *, left_out: tuple[str, ...] = (), in_chunk: int = 0
+    path: Path,
+    cell: Cell,
+    rows: Mapping[str, np.ndarray],
+    *,
+    left_out: tuple[str, ...] = (),
+    in_chunk: int = 0,
+    told: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
-    """A complete log of these rows by arm; left_out: files of the cell that shall not be in it; in_chunk: rows in each
-    chunk, as many as fit without it."""
+    """A complete log of these rows by arm, and of the plant; left_out: files of the cell that shall not be in it;
+    in_chunk: rows in each chunk, as many as fit without it; told: what the recorder says of them.  Rows that were made
+    without a cell become those of this one."""
     files = attachments(cell, run_info(cell, DriverKind.SIM, 0))
     kept = [Attachment(name, "text/plain", data) for name, data in files.items() if name not in left_out]
     log = LogFile(path, kept, {}, created_ns=1, min_free_bytes=0)
     name = cell.file.name
-    channels = LogChannels(log, scene_of(cell), has_plant=False)
-    for arm, own in rows.items():
+    channels = LogChannels(log, scene_of(cell), has_plant="plant" in rows)
+    for arm, own in of_cell(cell, rows).items():
         for begin in range(0, len(own), in_chunk or BATCH):
             channels.write_rows(Rows(Address(name, arm, Kind.STATE), own[begin : begin + (in_chunk or BATCH)]))
             if in_chunk:
                 log.flush(0.0)
-    assert log.finish({"completeness": {"complete": "true"}})
+    assert log.finish({"completeness": {"complete": "true", **told}})
     return path
+
+
+def of_cell(cell: Cell, rows: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The rows, those without a configuration with that of the cell."""
+    own = {member: given.copy() for member, given in rows.items()}
+    for taken in own.values():
+        taken["config_id"][np.isin(taken["config_id"], (0, CONFIG_ID))] = cell.config_id
+    return own
 
 
 def write_other_release(

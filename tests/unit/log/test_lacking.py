@@ -15,20 +15,26 @@ from agent.log.lacking import lacking
 from agent.log.read import read_log
 from agent.log.run import load
 from agent.process.describe import run_info
+from agent.report.metrics import summarise
 from tests.support.command import coop
 from tests.support.telemetry import run_log
 from tests.support.telemetry.log_maker import LogMaker
 from tests.support.telemetry.run_log import write_run
-from tests.support.telemetry.synthetic_run import paper_rows
-from tests.support.telemetry.telemetry_cell import make_rows
+from tests.support.telemetry.synthetic_run import paper_rows, true_rows
+from tests.support.telemetry.telemetry_cell import ARMS, make_rows
 
 PAPER = load_cell(configs.CELLS_DIR / "paper.toml")
 COUNTS = {"complete": "true", "left.rows_expected": "60", "left.rows_recorded": "60", "left.end": "finished"}
+COMMANDS = (
+    "replay", "replay --set object.mass_kg=0.6", "replay --same-as LOG", "grasps", "events", "export",
+    "compare LOG", "compare --json LOG", "play --speed 1000 --listen tcp/127.0.0.1:0", "calibrate",
+    "view --film out.png",
+)  # fmt: skip
 RIGHT = {key.replace("left", "right"): value for key, value in COUNTS.items()}
 
 
 def log_of(path: Path, told: dict[str, str], **rows: np.ndarray) -> Path:
-    maker = LogMaker(path, has_plant="plant" in rows)
+    maker = LogMaker(path, has_plant="plant" in rows, arms={arm: ARMS[arm] for arm in rows if arm in ARMS})
     for member, own in rows.items():
         maker.write(member, own)
     maker.file.finish({"completeness": told})
@@ -54,14 +60,65 @@ def test_a_log_without_a_row_of_an_arm_is_not_complete(tmp_path: Path) -> None:
     left = make_rows("left", 60)
     told = read_log(log_of(tmp_path / "told.mcap", COUNTS | RIGHT, left=left))
     assert (told.complete, told.lacks) == (False, ("60 of the 60 rows of right that were recorded are not in it",))
-    untold = read_log(log_of(tmp_path / "untold.mcap", COUNTS, left=left))
+    untold = read_log(log_of(tmp_path / "untold.mcap", COUNTS, left=left, right=make_rows("right", 0)))
     assert (untold.complete, untold.lacks) == (False, ("no row of right is in it",))
+    assert (told.unjudged, untold.unjudged) == (told.lacks, untold.lacks)
+
+
+@pytest.mark.parametrize("member", ["left", "right", "plant"])
+def test_a_log_from_which_a_whole_member_is_gone_with_its_channel_is_named_and_no_verdict_is_given(
+    tmp_path: Path, member: str
+) -> None:
+    told = COUNTS | RIGHT | {key.replace("left", "plant"): value for key, value in COUNTS.items()}
+    rows = {name: make_rows(name, 60) for name in ("left", "right", "plant")}
+    whole = read_log(log_of(tmp_path / "whole.mcap", told, **rows))
+    assert (whole.complete, whole.lacks, whole.unjudged) == (True, (), ())
+    few = log_of(tmp_path / "few.mcap", told, **(rows | {member: rows[member][:59]}))
+    assert (read_log(few).complete, read_log(few).unjudged) == (False, ()), "which a verdict may still be given of"
+    del rows[member]
+    path = log_of(tmp_path / "gone.mcap", told, **rows)
+    log, line = read_log(path), f"60 of the 60 rows of {member} that were recorded are not in it"
+    assert member not in log.gaps, "the file names it nowhere"
+    assert (log.complete, log.lacks, log.unjudged) == (False, (line,), (line,))
+    with load(path) as run:
+        assert (run.complete, run.lacks) == (False, (line,))
+
+
+def test_a_plant_that_only_the_recorder_was_to_record_is_missed(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False, about={"plant": "true"})
+    for arm in ARMS:
+        maker.write(arm, make_rows(arm, 60))
+    maker.finish()
+    log = read_log(tmp_path / "run.mcap")
+    assert (log.complete, log.unjudged) == (False, ("no row of plant is in it",))
+
+
+@pytest.mark.parametrize("member", ["right", "plant"])
+def test_a_report_without_a_member_gives_no_verdict_and_says_why(tmp_path: Path, member: str) -> None:
+    noise = np.random.default_rng(1)
+    cell = load_cell(configs.CELLS_DIR / "paper.toml", ["duration_s=2.0", "report.transient_s=1.0"])
+    rows = {name: paper_rows(side, 400, noise) for name, side in (("left", -1.0), ("right", 1.0))}
+    rows |= {"plant": true_rows(rows["left"])}
+    told = {f"{name}.rows_recorded": "400" for name in rows}
+    whole = summarise(read_log(write_run(tmp_path / "whole.mcap", cell, rows, told=told)))
+    assert (whole.complete, whole.within_bounds) == (True, True)
+    gone = {name: own for name, own in rows.items() if name != member}
+    path, line = tmp_path / "gone.mcap", f"400 of the 400 rows of {member} that were recorded are not in it"
+    found = summarise(read_log(write_run(path, cell, gone, told=told)))
+    assert (found.complete, found.missing.count(line)) == (False, 1)
+    assert set(found.to_json()["verdicts"].values()) == {"not shown"}
+    for command in COMMANDS:
+        name, *words = command.replace("LOG", str(path)).split()
+        done = coop(name, path, *words, cwd=tmp_path)
+        refused = member != "plant" and done.code == 2
+        assert f"{path}: not all of the run is in it: {line}" in done.err.splitlines() or refused, command
+    assert line in coop("report", path, "--out", tmp_path / "out").err
 
 
 def test_an_arm_that_only_the_description_of_the_run_names_is_missed(tmp_path: Path) -> None:
     told = {"left.rows_recorded": "5"}
-    assert lacking(told, {"left": 5}, {}, ["left", "right"]) == ["no row of right is in it"]
-    assert lacking(told, {"left": 5}, {}, ["left"]) == []
+    assert lacking(told, {"left": 5}, {}, ["left", "right"]) == {"right": "no row of right is in it"}
+    assert lacking(told, {"left": 5}, {}, ["left"]) == {}
 
 
 @pytest.mark.parametrize(
@@ -96,7 +153,7 @@ def test_an_older_log_that_does_not_say_who_took_part_is_to_have_all_arms_of_its
 
 
 def test_numbers_that_are_left_out_are_missed_where_nobody_counted(tmp_path: Path) -> None:
-    assert lacking({"complete": "true"}, {"left": 50}, {"left": 10}, []) == ["10 rows of left are not in it"]
+    assert lacking({"complete": "true"}, {"left": 50}, {"left": 10}, []) == {"left": "10 rows of left are not in it"}
 
 
 def test_a_row_that_came_late_makes_no_gap_in_the_log_it_is_in(tmp_path: Path) -> None:
@@ -110,7 +167,7 @@ def test_a_row_that_came_late_makes_no_gap_in_the_log_it_is_in(tmp_path: Path) -
 
 @pytest.mark.parametrize("count", ["", "-5", "a few", "²", "9" * 5000])
 def test_a_count_that_is_none_is_no_reason_to_miss_anything(count: str) -> None:
-    assert lacking({"left.rows_recorded": count}, {"left": 1}, {}, []) == []
+    assert lacking({"left.rows_recorded": count}, {"left": 1}, {}, []) == {}
 
 
 @pytest.mark.parametrize(
@@ -141,18 +198,12 @@ def test_a_truth_that_is_told_less_often_than_the_plant_ticks_has_no_gaps_but_wh
     assert log.gaps["plant"] == ((12, 12), (40, 44))
 
 
-COMMANDS = (
-    "replay", "replay --set object.mass_kg=0.6", "replay --same-as LOG", "grasps", "events", "export",
-    "compare LOG", "compare --json LOG",
-)  # fmt: skip
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_whoever_works_with_a_log_that_lacks_rows_says_so_in_one_line(tmp_path: Path, command: str) -> None:
     cell = load_cell(configs.CELLS_DIR / "paper.toml")
     rows = {name: paper_rows(side, 40, np.random.default_rng(1)) for name, side in (("left", 1.0), ("right", -1.0))}
     log = write_run(tmp_path / "run.mcap", cell, rows | {"left": rows["left"][np.r_[0:20, 30:40]]})
     name, *words = command.replace("LOG", str(log)).split()
-    done = coop(name, log, *words)
+    done = coop(name, log, *words, cwd=tmp_path)
     line = f"{log}: not all of the run is in it: 10 rows of left are not in it"
     assert line in done.err.splitlines()

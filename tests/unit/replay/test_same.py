@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from agent.log.columns import BLOCK_ROWS, Table
+from agent.replay.comparison import ArmComparison
 from agent.replay.same import same
 from agent.replay.source import ReplayError
-from agent.replay.verify import ArmComparison
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from tests.support.telemetry.telemetry_cell import make_rows

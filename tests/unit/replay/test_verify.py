@@ -12,9 +12,10 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.log.read import open_log
 from agent.modes import Event, Mode
+from agent.replay.comparison import ArmComparison, Comparison, Difference
 from agent.replay.rows import Window
 from agent.replay.source import ReplayError, recorded_cell
-from agent.replay.verify import ArmComparison, Comparison, Difference, verify
+from agent.replay.verify import verify
 from agent.safety import Flag
 from agent.telemetry.row.sample import AGENT_FIELDS
 from tests.support.few import few

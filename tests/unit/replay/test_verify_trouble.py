@@ -14,9 +14,10 @@ from agent.log.read import open_log
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
 from agent.replay.chain import Chain
+from agent.replay.comparison import Comparison
 from agent.replay.rows import Window
 from agent.replay.source import recorded_cell
-from agent.replay.verify import Comparison, verify
+from agent.replay.verify import verify
 from agent.safety import Flag
 from drivers.interface import JointState, Vector
 from tests.support.runner_rig import fault, lost_at, paper, period_ns, q_start, run, wandering
