@@ -183,6 +183,7 @@ class LogFile:
             except OSError as error:
                 self._fail(error)
             self._open = False
+            self.before_flush = _nothing  # it knows this file, which would keep both until a collection
         return self.failure is None
 
     def _finish(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
