@@ -15,6 +15,7 @@ from drivers.dynamixel.identify import survey
 from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.servo import judge as rules
 from drivers.dynamixel.servo.found import Consequence, Misfit, Rule, ServoFound
+from drivers.dynamixel.servo.kept import KEPT_RAM
 from drivers.dynamixel.servo.table import MOVING_THRESHOLD, PRESENT_INPUT_VOLTAGE, PRESENT_POSITION, PRESENT_TEMPERATURE
 from drivers.dynamixel.servo.units import AngleScale, volts
 
@@ -169,6 +170,7 @@ SECTIONS = (
         ),
         _eeprom, _text("the arm file's directions, shadows and limits"),
     ),
+    Section("RAM beside the goals", KEPT_RAM, _text("as a change of mode leaves it"), _text("the same")),
     Section("start pose", (rules.POSE,), _pose, _text("the cell's start pose")),
     Section("rest pose", (rules.REST,), _pose, _text("the cell's rest pose")),
 )  # fmt: skip

@@ -103,12 +103,26 @@ class BringUp:
             for indirect, address in zip(INDIRECT_ADDRESSES, status_bytes(effort_register(servo.slot)), strict=False):
                 self._bus.write(servo_id, indirect, address)
             self._bus.write(servo_id, LED, 1)
+        self._write_ram()
         for servo in self._commanded:
             self._bus.write(servo.slot.servo_id, effort_register(servo.slot), self._rest[servo.slot.servo_id])
             if servo.slot.joint.role is not JointRole.CONTROLLED:
                 self._bus.write(servo.slot.servo_id, GOAL_POSITION, self._here(servo))
         for servo in self._servos:
             self._verify(servo, effort_register(servo.slot), self._rest[servo.slot.servo_id])
+
+    def _write_ram(self) -> None:
+        """What another program may have left in RAM, written where it differs and read back; a shadow's own last."""
+        for servo in self._servos:
+            servo_id = servo.slot.servo_id
+            for register, wanted in servo.ram.items():
+                found = self._bus.read(servo_id, register)
+                if found == wanted:
+                    continue
+                self._bus.write(servo_id, register, wanted)
+                self._verify(servo, register, wanted)
+                text = f"{register.name} {found} → {wanted}"
+                self._tell(DriverEvent(EventKind.RAM_WRITTEN, text, servo_id, servo.slot.joint.name))
 
     def _again(self, servo: ServoFound, register: Register) -> ServoFound:
         """The servo with one register as it is now."""

@@ -11,6 +11,7 @@ class EventKind(enum.Enum):
     """What happened."""
 
     EEPROM_WRITTEN = "EEPROM written"
+    RAM_WRITTEN = "left by another program, set anew"
     SLOW_SYNC_READ = "no fast sync read on this bus"
     HARDWARE_WARNING = "hardware error bit that does not stop the servo"
     HOT = "servo is close to its temperature limit"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from drivers.dynamixel.arm_map import ServoSlot
 from drivers.dynamixel.servo.table import CURRENT_LIMIT, PWM_LIMIT, Register
-from drivers.dynamixel.servo.wanted import run_values
+from drivers.dynamixel.servo.wanted import kept_ram, run_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +55,12 @@ class ServoFound:
         """EEPROM registers that the driver must write before this servo can do its part."""
         now = [(register, self.value(register), wanted) for register, wanted in run_values(self.slot).items()]
         return [RegisterChange(self.slot.servo_id, r, found, wanted) for r, found, wanted in now if found != wanted]
+
+    @property
+    def ram(self) -> dict[Register, int]:
+        """RAM registers that must hold this before it gets torque."""
+        limit = self.value(PWM_LIMIT)
+        return {register: limit if wanted is None else wanted for register, wanted in kept_ram(self.slot).items()}
 
 
 class Consequence(enum.Enum):

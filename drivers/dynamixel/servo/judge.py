@@ -14,6 +14,7 @@ from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, DriveMode, HardwareError, OperatingMode
 from drivers.dynamixel.servo.codes import StartupConfiguration as Startup
 from drivers.dynamixel.servo.found import Check, Consequence, Misfit, Rule, Said, ServoFound
+from drivers.dynamixel.servo.kept import KEPT_RAM
 from drivers.dynamixel.servo.models import RATED_VOLTAGE_V, SERVOS_BY_NUMBER, ServoModel
 from drivers.dynamixel.servo.table import Register
 from drivers.dynamixel.servo.thermal import MARGIN_C
@@ -285,5 +286,5 @@ SHUTDOWN = _plain(table.SHUTDOWN, Consequence.TOLERATED)
 RULES = (
     MODEL, MARK, FIRMWARE, FAST_READ, SUPPLY, RATED_SUPPLY, HEAT, WARMTH, HARDWARE, WATCHDOG, RETURN_LEVEL, TORQUE,
     POSE, REST, DIRECTION, DRIVE_BITS, SECONDARY, HOMING, STARTUP, CURRENT_LIMIT, PWM_NEEDED, MODE, RETURN_DELAY,
-    PWM_LIMIT, LOW_LIMIT, HIGH_LIMIT, SHUTDOWN,
+    PWM_LIMIT, LOW_LIMIT, HIGH_LIMIT, SHUTDOWN, *KEPT_RAM,
 )  # fmt: skip

@@ -16,6 +16,7 @@ from drivers.dynamixel.servo import judge, table
 from drivers.dynamixel.servo.codes import StatusError
 from drivers.dynamixel.servo.found import Consequence, Rule, ServoFound
 from drivers.dynamixel.servo.judge import RULES, broken
+from drivers.dynamixel.servo.kept import KEPT_RAM
 from drivers.dynamixel.servo.table import FIRMWARE_VERSION, Register
 from drivers.dynamixel.servo.wanted import setup_values
 from sim_backend.wire.faults import FaultKind
@@ -77,6 +78,14 @@ def displaced(rig: Rig) -> None:
     rig.servo(4).firmware.body.encoder_offset_ticks = 600
 
 
+def run_before() -> Rig:
+    """Servos whose modes are the arm's already, as from the second start on."""
+    rig = build(timing=WIRE)
+    for servo_id, slot in SLOTS.items():
+        rig.put(servo_id, table.OPERATING_MODE, int(slot.joint.mode))
+    return rig
+
+
 MARKED = at(WX200, mark=Mark("left", 1, ((2, "right"),)))
 RESTING = at(WX200, joints=tuple(replace(joint, at_rest=True) for joint in WX200.joints))
 
@@ -108,6 +117,7 @@ BREAKS: dict[Rule, Break] = {
     judge.LOW_LIMIT: put(2, table.MIN_POSITION_LIMIT, 0),
     judge.HIGH_LIMIT: put(2, table.MAX_POSITION_LIMIT, 4095),
     judge.SHUTDOWN: put(1, table.SHUTDOWN, 0),
+    **{rule: replace(put(1, rule.registers[0], 7), rig=run_before) for rule in KEPT_RAM},
 }
 EXPECTED = {
     Consequence.NO_CONNECTION: {
@@ -116,7 +126,7 @@ EXPECTED = {
     },
     Consequence.NO_TORQUE: {judge.TORQUE},
     Consequence.MOVE_FIRST: {judge.POSE, judge.REST},
-    Consequence.MENDED: {judge.WATCHDOG, judge.RETURN_LEVEL, judge.DRIVE_BITS, judge.RETURN_DELAY},
+    Consequence.MENDED: {judge.WATCHDOG, judge.RETURN_LEVEL, judge.DRIVE_BITS, judge.RETURN_DELAY, *KEPT_RAM},
     Consequence.ROUTINE: {judge.MODE},
     Consequence.TOLERATED: {
         judge.FAST_READ, judge.RATED_SUPPLY, judge.WARMTH, judge.PWM_LIMIT, judge.LOW_LIMIT, judge.HIGH_LIMIT,

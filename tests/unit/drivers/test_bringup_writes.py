@@ -201,6 +201,65 @@ def test_what_was_written_to_eeprom_is_told_once_and_not_written_again() -> None
     assert rig.events == []
 
 
+LEFT = [
+    (4, table.GOAL_PWM, 60), (SHADOW, table.GOAL_PWM, 0), (2, table.GOAL_PWM, -885), (1, table.GOAL_PWM, 0),
+    (1, table.POSITION_P_GAIN, 0), (7, table.POSITION_D_GAIN, 9000), (1, table.POSITION_I_GAIN, 200),
+    (1, table.FEEDFORWARD_1ST_GAIN, 50), (7, table.FEEDFORWARD_2ND_GAIN, 50), (1, table.PROFILE_VELOCITY, 3),
+    (7, table.PROFILE_ACCELERATION, 3),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("servo_id", "register", "left"), LEFT)
+def test_what_another_program_left_in_ram_is_set_before_torque_and_told(
+    servo_id: int, register: Register, left: int
+) -> None:
+    rig = enabled()
+    rig.driver.disable()
+    rig.put(servo_id, register, left)
+    rig.events.clear()
+    written(rig)
+    rig.driver.enable()
+    slot = next(slot for slot in WX200.slots if slot.servo_id == servo_id)
+    wanted = 885 if register is table.GOAL_PWM else slot.model.default(register)
+    assert rig.get(servo_id, register) == wanted
+    writes = written(rig)
+    assert writes.index((register.address, {servo_id: wanted})) < writes.index((TORQUE, to_all(1)))
+    told = [(event.kind, event.servo_id, event.text) for event in rig.events]
+    assert told == [(EventKind.RAM_WRITTEN, servo_id, f"{register.name} {left} → {wanted}")]
+
+
+def test_of_a_pair_each_servo_has_its_own_limit_of_voltage_again() -> None:
+    """What is written to the one that is followed its shadow takes, too, as far as its own limit lets it."""
+    rig = build()
+    rig.put(SHADOW, table.PWM_LIMIT, 800)
+    rig.driver.connect()
+    rig.driver.enable()
+    rig.driver.disable()
+    for servo_id in (2, SHADOW):
+        rig.put(servo_id, table.GOAL_PWM, 60)
+    rig.driver.enable()
+    assert [rig.get(i, table.GOAL_PWM) for i in (2, SHADOW)] == [885, 800]
+
+
+def test_a_joint_that_another_program_starved_of_voltage_follows_its_torque() -> None:
+    def torques(left: int | None) -> list[float]:
+        rig = enabled()
+        if left is not None:
+            rig.driver.disable()
+            rig.put(4, table.GOAL_PWM, left)
+            rig.driver.enable()
+        found = []
+        for _ in range(5):
+            rig.driver.write(np.array([0.0, 1.0, 0.0, 0.0]))
+            rig.clock.sleep_until(rig.clock.now_ns() + 5_000_000)
+            found.append(float(rig.driver.read().tau[1]))
+        return found
+
+    healthy = torques(None)
+    assert max(healthy) > 0.8
+    assert torques(60) == pytest.approx(healthy, abs=0.1)
+
+
 def test_the_goals_of_a_pair_are_bounded_by_its_weaker_servo() -> None:
     rig = build()
     rig.driver.connect()

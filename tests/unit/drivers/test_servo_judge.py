@@ -8,6 +8,7 @@ import pytest
 
 from drivers.dynamixel.arm_map import JointRole
 from drivers.dynamixel.servo import judge, table
+from drivers.dynamixel.servo.codes import OperatingMode
 from drivers.dynamixel.servo.found import Rule, ServoFound
 from drivers.dynamixel.servo.table import Register
 from drivers.dynamixel.servo.torque import CurrentDrive
@@ -30,6 +31,7 @@ def servo(slot=ELBOW, *, firmware: int = 46, model_number: int | None = None, **
     }
     changed = {name.replace("_", " "): value for name, value in values.items()}
     assert changed.keys() <= healthy.keys()
+    healthy[table.GOAL_PWM.name] = (healthy | changed)[table.PWM_LIMIT.name]
     return ServoFound(
         slot, slot.model.model_number if model_number is None else model_number, firmware, healthy | changed
     )
@@ -169,3 +171,21 @@ def test_what_must_be_read_is_what_the_rules_ask_for_as_far_as_the_model_has_it(
         asked = {register.name for rule in judge.RULES for register in rule.registers}
         assert read == asked & slot.model.registers.keys()
         assert (table.CURRENT_LIMIT.name in read) == slot.model.has_current_mode
+
+
+@pytest.mark.parametrize(
+    ("slot", "register", "matters"),
+    [
+        (ELBOW, "Goal PWM", True), (SHADOW, "Goal PWM", True), (WAIST, "Goal PWM", True),
+        (ROTATE, "Goal PWM", False), (GRIPPER, "Goal PWM", False),  # there it is a goal
+        (ELBOW, "Position P Gain", False), (WAIST, "Position P Gain", True), (GRIPPER, "Position P Gain", True),
+        (WAIST, "Profile Velocity", True), (GRIPPER, "Feedforward 1st Gain", True),
+    ],
+)  # fmt: skip
+def test_what_another_program_left_in_ram_is_named_where_the_servo_s_mode_goes_by_it(
+    slot, register: str, matters: bool
+) -> None:
+    left = {register.replace(" ", "_"): 60}
+    assert [rule.name for rule in broken(servo(slot, **left))] == ([register] if matters else [])
+    other = OperatingMode.VELOCITY
+    assert broken(servo(slot, Operating_Mode=other, **left)) == [judge.MODE], "a change of mode sets it"
