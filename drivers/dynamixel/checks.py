@@ -16,6 +16,7 @@ from drivers.dynamixel.servo.codes import OperatingMode
 from drivers.dynamixel.servo.units import AngleScale, current_unit_A, ticks_rad, velocity_count
 
 SILENT_LIMIT_CYCLES = 8
+LATE_LIMIT_CYCLES = 4  # the first that are silent cannot bring a late answer: there was none to come
 NOISE_LIMIT_CYCLES = 5
 NOISE_BYTES = 128  # beyond all that was asked for; an answer that came late is there once
 NO_EFFECT_AFTER_S = 0.04
@@ -62,8 +63,8 @@ class SilenceCheck:
         cause, instead = FaultCause.SILENT, ""
         if self._damaged >= SILENT_LIMIT_CYCLES:
             cause, instead = FaultCause.GARBLED, ", damaged packets in each"
-        elif self._late >= SILENT_LIMIT_CYCLES:
-            cause, instead = FaultCause.OUTDATED, ", old answers in each"
+        elif self._late >= LATE_LIMIT_CYCLES:
+            cause, instead = FaultCause.OUTDATED, f", old answers in the last {self._late}"
         text = f"{missed} cycles without an answer{instead}"
         return DxlServoFault.of(cause, slot, found=text, expected="an answer every cycle")
 

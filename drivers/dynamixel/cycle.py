@@ -185,5 +185,8 @@ def marked_groups(ids: tuple[int, ...], *, fast: bool) -> list[GroupRead]:
     """Group reads to be used in turn, at least MARKS of them that cannot be taken for each other."""
     turned = [[*ids[turn:], *ids[:turn]] for turn in range(len(ids))]
     if fast and 2 * len(ids) >= MARKS:
-        return [_group(order, 0, fast=True, proof=2) for turn in turned for order in (turn, turn[::-1])]
+        proof = 2 + (
+            len(ids) % 2 == 0
+        )  # a rotation and a reversed one agree in one place of an odd number, two of even
+        return [_group(order, 0, fast=True, proof=proof) for turn in turned for order in (turn, turn[::-1])]
     return [_group(turned[mark % len(ids)], mark, fast=fast) for mark in range(MARKS)]

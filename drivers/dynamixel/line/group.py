@@ -42,7 +42,7 @@ class GroupRead:
 
     fields: struct codes of the data block, little-endian ("hii" for 126 to 135), padding included.  A servo's error
     byte is put in front of its row, alert bit and all.  proof: how many intact blocks of a merged reply must be in the
-    order asked for before any is believed; 2 where requests differ by order and may begin with the same ID.
+    order asked for before any is believed: one more than the places in which the orders of two requests agree.
     """
 
     def __init__(self, address: int, fields: str, ids: Sequence[int], *, fast: bool, proof: int = 1) -> None:

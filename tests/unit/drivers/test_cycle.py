@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import pytest
 
 from drivers.dynamixel.budget import LinkTiming
@@ -85,6 +87,16 @@ def test_merged_reads_of_many_servos_differ_by_order_and_two_blocks_must_agree()
     assert [group.ids for group in groups] == [order for turn in turns for order in (turn, turn[::-1])]
     assert {asked(group.request)[:3] for group in groups} == {(True, 126, 10)}
     assert {group._proof for group in groups} == {2}
+
+
+@pytest.mark.parametrize("count", range(2, 10))
+def test_the_answer_to_no_other_request_has_as_many_blocks_in_the_order_asked_for_as_are_proof(count: int) -> None:
+    """However many of its other blocks are damaged, and so contradict nothing."""
+    groups = marked_groups(tuple(range(1, count + 1)), fast=True)
+    for asked_for, answered in permutations(groups, 2):
+        if asked_for.data_length == answered.data_length:  # else its head is another
+            agree = sum(a == b for a, b in zip(asked_for.ids, answered.ids, strict=True))
+            assert agree < asked_for._proof
 
 
 @pytest.mark.parametrize(("ids", "fast"), [((1, 2, 3, 4), True), ((1,), True), ((1, 2, 3, 4, 5), False)])

@@ -236,11 +236,24 @@ def test_a_port_that_repeats_an_old_reply_is_outdated_and_never_a_state(age: int
     last = errors[-1]
     assert isinstance(last, DxlServoFault)
     assert last.cause is FaultCause.OUTDATED
-    assert "old answers in each" in str(last.found)
+    assert "old answers in the last" in str(last.found)
     assert "unplug and plug" in last.remedy
     states = [e.state for e in errors if isinstance(e, DxlServoFault)]
     assert len(states) > 40
     assert all(np.isnan(state.q).all() for state in states if state is not None)
+
+
+@pytest.mark.parametrize("firmware", [44, 46])
+@pytest.mark.parametrize("delay_ms", [5.0, 10.0, 20.0])
+def test_an_adapter_that_holds_answers_back_is_named_before_its_servos(delay_ms: float, firmware: int) -> None:
+    rig = build(firmware=firmware, timing=BusTiming())
+    rig.driver.connect()
+    rig.driver.enable()
+    cycles(rig, 20)
+    rig.fault(FaultKind.DELAY, None, delay_ms=delay_ms)
+    first = next(error for error in cycles(rig, 12) if isinstance(error, DxlServoFault))
+    assert first.cause is FaultCause.OUTDATED
+    assert "unplug and plug" in first.remedy
 
 
 def test_a_port_that_works_again_after_repeating_gives_fresh_states() -> None:
