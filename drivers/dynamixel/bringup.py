@@ -17,12 +17,13 @@ from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.monitor import Page, status_bytes
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, OperatingMode
 from drivers.dynamixel.servo.found import ServoFound
-from drivers.dynamixel.servo.judge import POSE, REST, TORQUE, broken
+from drivers.dynamixel.servo.judge import HARDWARE, POSE, REST, TORQUE, broken
 from drivers.dynamixel.servo.table import (
     BUS_WATCHDOG,
     GOAL_CURRENT,
     GOAL_POSITION,
     GOAL_PWM,
+    HARDWARE_ERROR_STATUS,
     INDIRECT_ADDRESSES,
     LED,
     MAX_POSITION_LIMIT,
@@ -80,11 +81,15 @@ class BringUp:
         self._tell = tell
 
     def configure(self) -> None:
-        """Write EEPROM where it differs, and read it back.  Raises IdentityError while a servo holds torque."""
+        """Write EEPROM where it differs, and read it back.
+
+        Raises IdentityError while a servo holds torque, and where one has had to switch itself off since it was found.
+        """
         for servo in self._servos:
-            misfit = broken(TORQUE, self._again(servo, TORQUE_ENABLE))
-            if misfit is not None:
-                raise IdentityError.of(misfit)
+            for rule, register in ((TORQUE, TORQUE_ENABLE), (HARDWARE, HARDWARE_ERROR_STATUS)):
+                misfit = broken(rule, self._again(servo, register))
+                if misfit is not None:
+                    raise IdentityError.of(misfit)
         for servo in self._servos:
             servo_id = servo.slot.servo_id
             for change in servo.changes:

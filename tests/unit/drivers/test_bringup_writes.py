@@ -10,10 +10,12 @@ import pytest
 from drivers.dynamixel.bringup import efforts_at_rest, goal_limits
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import EventKind
+from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import Instruction, StatusError
 from drivers.dynamixel.servo.table import Register
+from sim_backend.wire.faults import FaultKind
 from tests.support.servos.dxl_rig import WX200, Rig, at, build, enabled
 
 MODE, TORQUE, LED, WATCHDOG, PWM, CURRENT, POSITION, MAPPED = 11, 64, 65, 98, 100, 102, 116, 168
@@ -226,6 +228,17 @@ def test_what_another_program_left_in_ram_is_set_before_torque_and_told(
     assert writes.index((register.address, {servo_id: wanted})) < writes.index((TORQUE, to_all(1)))
     told = [(event.kind, event.servo_id, event.text) for event in rig.events]
     assert told == [(EventKind.RAM_WRITTEN, servo_id, f"{register.name} {left} → {wanted}")]
+
+
+@pytest.mark.parametrize("servo_id", [4, SHADOW])
+def test_a_servo_that_has_switched_itself_off_since_it_was_found_is_told_with_its_cause(servo_id: int) -> None:
+    rig = build()
+    rig.driver.connect()
+    rig.fault(FaultKind.OVERLOAD, servo_id)
+    rig.clock.sleep_until(rig.clock.now_ns() + 20_000_000)
+    with pytest.raises(IdentityError, match=r"hardware error: found OVERLOAD.*switch its supply off and on"):
+        rig.driver.enable()
+    assert [rig.get(i, table.TORQUE_ENABLE) for i in range(1, 8)] == [0] * 7
 
 
 def test_of_a_pair_each_servo_has_its_own_limit_of_voltage_again() -> None:
