@@ -273,7 +273,7 @@ def _stand(
         standing.no_start = no_real_time(real.text)
     of_host = {
         "pid": os.getpid(), "real_time": asdict(real), "driver": options.driver.value, "session": options.whole,
-        "drops_on_stop": not options.hold, "ring": str(options.ring.absolute()),
+        "drops_on_stop": operator.drops_on_stop, "ring": str(options.ring.absolute()),
     }  # fmt: skip
 
     def details() -> dict[str, Any]:

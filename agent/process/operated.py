@@ -1,6 +1,6 @@
 """The operator as the loop of one arm sees them: events, the common start, and what the agent answers about itself.
 
-Where nothing can fall (simulation), a stop also releases the object; on real arms a stop holds it.
+Where nothing can fall (simulation), a stop also releases the object; on real arms, and in a session, a stop holds it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Operator:
         session: bool = False,
         standing: Standing | None = None,
     ) -> None:
-        """session: a stop is said once, whoever asks for it, for the arm may go on from it.
+        """session: a stop holds, whatever drops_on_stop says, and is said once: the arm goes on from it by words.
 
         standing: what is answered about the arm, also where there is no control socket yet.
         """
@@ -63,7 +63,7 @@ class Operator:
         self._control = control
         self._clock = clock
         self._tell = tell
-        self._drops_on_stop = drops_on_stop
+        self.drops_on_stop = drops_on_stop and not session  # in HOLD a session's release ends nothing
         self._watch = watch  # what else of this host is wrong, because of which the arm must hold now
         self.watched = ""  # what that said in the last cycle
         self._session = session
@@ -100,7 +100,7 @@ class Operator:
             control.poll()
         said = signals.released or signals.stops + self._holds != self._stops_said
         said = said or (control is not None and bool(control.requests.words))
-        return said or (self._drops_on_stop and (self._stopped or signals.stopped))
+        return said or (self.drops_on_stop and (self._stopped or signals.stopped))
 
     def events(self) -> Event:
         """What is asked for now.  A release counts once: one that came too early must not drop a later hold."""
@@ -111,7 +111,7 @@ class Operator:
         if not (happened or released or watched or self._stopped or self._signals.stopped):
             return happened  # of nearly every cycle; what follows takes 5 µs
         self._hear_signals()
-        asked = Event.STOP in happened and (self._drops_on_stop or not self._session)
+        asked = Event.STOP in happened and not self._session
         self._stopped = self._stopped or asked or self._signals.stopped
         released = released or Event.RELEASED in happened
         happened &= ~Event.RELEASED
@@ -124,10 +124,10 @@ class Operator:
                 self._control.requests.lower = None
         if Event.STOP in happened:  # it wins over what was said in the same cycle, whichever was said first
             happened &= ~MOTIONS
-        if released and ((new and not self._drops_on_stop) or self._outdoes(happened)):
+        if released and ((new and not self.drops_on_stop) or self._outdoes(happened)):
             released = False
             self._tell(Level.WARN, "a stop wins over the release that came with it: say it again")
-        if released or (self._stopped and self._drops_on_stop):
+        if released or (self._stopped and self.drops_on_stop):
             happened |= Event.RELEASED
         return happened
 
@@ -146,7 +146,7 @@ class Operator:
         """Always, but in a session once for each signal and each hold of this host."""
         stops = self._signals.stops + self._holds
         said, self._stops_said = self._stops_said, stops
-        return stops != said or not self._session or self._drops_on_stop
+        return stops != said or not self._session
 
     def _said(self, control: ControlSocket) -> Event:
         """What was asked for over the socket; the way down once its instant has come."""

@@ -113,7 +113,7 @@ class Successor:
         )  # fmt: skip
         fixed = {
             "pid": os.getpid(), "driver": options.driver.value, "guard": HOLDS, "session": self._session,
-            "drops_on_stop": not options.hold, "ring": str(watched.ring),
+            "drops_on_stop": operator.drops_on_stop, "ring": str(watched.ring),
         }  # fmt: skip
         standing.details = lambda: {**fixed, "no_start": standing.no_start, "tick": tick_of(watched.writer)}
         heart.mode(begins)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
-from agent.modes import FLOATING, Event, Mode
+from agent.modes import FLOATING, TABLE, Event, Mode, next_mode
 from agent.session import WORDS
 from agent.session_modes import next_in_session
 
 SESSION = [mode for mode in Mode if mode not in {Mode.OFF, Mode.FAULT, *FLOATING}]
 ALL_EVENTS = [Event(bits) for bits in range(2 * Event.ARRIVED)]
 GRIPPED = {Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER}
+WORDS_SAID = Event.APPROACH | Event.GRASP | Event.LOWER | Event.PARK | Event.RELEASED
 FREE = {Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.PARK, Mode.HALT}
 
 # the way of a whole session, word by word and finding by finding
@@ -60,8 +63,8 @@ def test_a_lost_servo_is_a_fault_from_everywhere(mode: Mode) -> None:
 @pytest.mark.parametrize("bad", [Event.STOP, Event.TROUBLE])
 def test_a_stop_holds_what_is_gripped_and_halts_what_is_free_whatever_else_is_said(mode: Mode, bad: Event) -> None:
     after = {next_in_session(mode, events | bad) for events in ALL_EVENTS if Event.SERVO_LOST not in events}
-    if mode is Mode.HOLD:  # it holds already, and a person who is at it may let go; what is wrong lets them go on
-        assert after == {Mode.HOLD, Mode.RELEASE, *([] if bad is Event.STOP else [Mode.LOWER])}
+    if mode is Mode.HOLD:  # it holds already, and what is wrong lets a person who is at it go on
+        assert after == ({Mode.HOLD} if bad is Event.STOP else {Mode.HOLD, Mode.RELEASE, Mode.LOWER})
     elif mode is Mode.RELEASE:  # it holds until its gripper opens
         assert after == {Mode.HOLD, Mode.HALT}
     else:
@@ -69,15 +72,36 @@ def test_a_stop_holds_what_is_gripped_and_halts_what_is_free_whatever_else_is_sa
 
 
 @pytest.mark.parametrize("mode", SESSION)
-def test_no_word_of_motion_counts_beside_a_stop_and_a_release_counts_where_a_stop_changes_nothing(mode: Mode) -> None:
-    words = Event.APPROACH | Event.GRASP | Event.LOWER | Event.PARK | Event.STARTED
+def test_no_word_counts_beside_a_stop(mode: Mode) -> None:
+    words = WORDS_SAID | Event.STARTED
     for events in ALL_EVENTS:
         assert next_in_session(mode, events | words | Event.STOP) is next_in_session(mode, events & ~words | Event.STOP)
     if mode in (Mode.REST, Mode.HOLD, Mode.HALT):
         assert next_in_session(mode, Event.STOP) is mode
-        released = next_in_session(mode, Event.RELEASED)
-        assert released is not mode
-        assert next_in_session(mode, Event.STOP | Event.RELEASED | words) is released
+        assert next_in_session(mode, Event.RELEASED) is not mode
+
+
+def settled(follows: Callable[[Mode, Event], Mode], mode: Mode, events: Event) -> bool:
+    """Whether an arm of this mode comes to one that it stays in, or to the end of its loop, while these events last."""
+    for _ in Mode:
+        after = follows(mode, events)
+        if after is mode or not TABLE[after].commands:
+            return True
+        mode = after
+    return False
+
+
+@pytest.mark.parametrize("mode", SESSION)
+def test_no_events_that_last_have_modes_take_turns_but_words_that_somebody_repeats_in_every_cycle(mode: Mode) -> None:
+    """A word counts once (`agent.process.operated`); beside a stop that lasts not even repeated words move the arm."""
+    for events in ALL_EVENTS:
+        if Event.STOP in events or not events & WORDS_SAID:
+            assert settled(next_in_session, mode, events), events
+
+
+@pytest.mark.parametrize("mode", [Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER])
+def test_without_a_session_no_events_that_last_have_modes_take_turns(mode: Mode) -> None:
+    assert all(settled(next_mode, mode, events) for events in ALL_EVENTS)
 
 
 @pytest.mark.parametrize("mode", sorted(GRIPPED))

@@ -8,7 +8,7 @@ _A_WAY_DOWN_SETS_IT = "a way down that is given sets it, and nothing asks for it
 _THE_SHORT_WAY = "the short way: what follows finds nothing either"
 _IF_NOTHING = "if not (happened or released or watched or self._stopped or self._signals.stopped):"
 _MAPPED = "self._lower, self._lower_ns = (lower, 0 if lower is None else lower.start_utc_ns - utc_offset_ns())"
-_ASKED = "asked = Event.STOP in happened and (self._drops_on_stop or not self._session)"
+_ASKED = "asked = Event.STOP in happened and (not self._session)"
 _HOLDS = "self._stopped, self._trouble, self._holds = (True, reason, self._holds + 1)"
 _NO_SESSION = "if not self._session and mode is Mode.HOLD:"
 

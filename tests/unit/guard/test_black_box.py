@@ -142,7 +142,7 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
         post_mortem=tmp_path,
     )  # fmt: skip
     box = SimpleNamespace(
-        finish=lambda meanwhile, missing: (done.append("waited"), meanwhile(), missing("it hung")),
+        drops_on_stop=False, finish=lambda meanwhile, missing: (done.append("waited"), meanwhile(), missing("it hung")),
     )  # fmt: skip
     with ExitStack() as stack:
         for name, fake in {

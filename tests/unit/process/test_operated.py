@@ -417,15 +417,22 @@ def test_in_a_session_the_clock_holds_the_next_carry_too(tmp_path: Path, monkeyp
 
 
 @pytest.mark.parametrize("by", ["signal", "word"])
-def test_a_simulated_session_is_over_with_a_stop(tmp_path: Path, by: str) -> None:
-    """As the answer to the word says (`agent.operator.table.LETS_GO`)."""
-    rig = Rig(tmp_path / "c", session=True, drops_on_stop=True)
+@pytest.mark.parametrize("drops", [False, True])
+def test_a_stop_of_a_session_holds_and_is_said_once_where_nothing_can_fall_too(
+    tmp_path: Path, by: str, *, drops: bool
+) -> None:
+    """A guard on emulated servos, in the place of an agent that holds: in HOLD a release would not end it."""
+    rig = Rig(tmp_path / "c", session=True, drops_on_stop=drops)
+    rig.control.standing.mode = Mode.HOLD
     with closing(rig.control):
-        if by == "signal":
-            rig.signals.stopped, rig.signals.stops = True, 1
-        words = [Verb.STOP] if by == "word" else []
-        assert rig.hear(*words) == rig.hear() == Event.STOP | Event.RELEASED
-        assert rig.operator.is_pressed()
+        assert rig.operator.drops_on_stop is False
+        for _ in range(2):
+            if by == "signal":
+                rig.signals.stopped, rig.signals.stops = True, rig.signals.stops + 1
+            words = [Verb.STOP] if by == "word" else []
+            assert (rig.hear(*words), rig.hear()) == (Event.STOP, Event.NONE)
+            assert not rig.operator.is_pressed()
+        assert rig.hear(Verb.RELEASE) == Event.RELEASED
 
 
 def test_an_operator_is_pressed_until_a_cycle_has_heard_what_was_said(rig: Rig, tmp_path: Path) -> None:
@@ -581,7 +588,7 @@ def test_an_agent_in_lockstep_starts_by_itself_and_says_nothing_of_its_host(
     options = AgentOptions(
         cell=Path(), arm="left", driver=DriverKind.SIM, ring=tmp_path, control=None, hold=False
     )  # fmt: skip
-    rig = Rig(tmp_path / "left.control")
+    rig = Rig(tmp_path / "left.control", drops_on_stop=True)
     with closing(rig.control), RingWriter(tmp_path / "ring", AGENT_STATE, "left", ("waist",)) as ring:
         agent._stand(
             rig.control.standing, options, rig.operator, ring, teller, load_cell(configs.CELLS_DIR / "paper.toml"), None
