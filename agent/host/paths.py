@@ -75,13 +75,16 @@ def barred(path: Path) -> str:
     No agent of this user's is in a folder of somebody else's.  One that is missing is not looked into again, so that
     nobody can lay one there meanwhile; one of this user's stays that, for /tmp lets nobody take it away.
     """
-    cell = path.parent.name
-    if path.parent != _own_dirs(cell)[-1]:
-        return ""
     try:
-        return _foreign_of(cell)
+        return held_by_others(path)
     except OSError as error:
         return error.strerror or str(error)
+
+
+def held_by_others(path: Path) -> str:
+    """The same of a place whose folders are there.  Raises OSError where one of them is missing."""
+    cell = path.parent.name
+    return _foreign_of(cell) if path.parent == _own_dirs(cell)[-1] else ""
 
 
 def _foreign_of(cell: str) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.host.paths import barred
+from agent.host.paths import held_by_others
 from agent.operator.message import MAX_BYTES, Reply, Request
 
 REPLY_TIMEOUT_S = 2.0
@@ -104,8 +104,13 @@ def _sent(
     heard: dict[Path, Heard],
 ) -> bool:
     """Connect and send without waiting; False when the agent's queue of clients is full."""
-    if why := barred(path):
-        heard[path] = Silence(why)
+    try:
+        foreign = held_by_others(path)
+    except OSError as error:
+        heard[path] = _found_nobody(error)
+        return True
+    if foreign:
+        heard[path] = Silence(foreign)
         return True
     own = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC))
     own.setblocking(False)
@@ -116,12 +121,16 @@ def _sent(
         own.close()
         return False
     except OSError as error:
-        found = error.strerror or str(error)  # a path that is too long has no strerror
-        heard[path] = Silence(found, nowhere=error.errno == errno.ENOENT)
+        heard[path] = _found_nobody(error)
         return True
     waiting[path] = own
     selector.register(own, selectors.EVENT_READ, path)
     return True
+
+
+def _found_nobody(error: OSError) -> Silence:
+    """What is told of a place where nobody can be asked; a path that is too long has no strerror."""
+    return Silence(error.strerror or str(error), nowhere=error.errno == errno.ENOENT)
 
 
 def _received(own: socket.socket) -> Heard:

@@ -61,12 +61,19 @@ def test_a_start_without_one_of_this_hosts_arms_is_refused(home: Path) -> None:
     assert arm.heard == (False, [])
 
 
-def test_a_word_to_arms_that_are_elsewhere_says_where_it_looked_and_who_has_other_places(home: Path) -> None:
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_a_word_to_arms_that_are_elsewhere_says_where_it_looked_and_who_has_other_places(
+    home: Path, missing: int
+) -> None:
+    """missing: of the cell's folder and the one around it, which nobody has made before a first start."""
+    for folder in (home, home.parent)[:missing]:
+        folder.rmdir()
     with pytest.raises(ControlError, match=r"does not answer \(nothing at ") as raised:
         tell_arms(load_cell(PAPER), Verb.STOP, ["left"], [])
     assert str(home / "left.control") in str(raised.value)
     elsewhere = "; agents of another user, XDG_RUNTIME_DIR or cell name listen elsewhere"
     assert raised.value.remedy.endswith(elsewhere)
+    home.mkdir(parents=True, exist_ok=True)
     with serving([Arm(home / "left.control", DEAD)]), pytest.raises(ControlError) as raised:
         tell_arms(load_cell(PAPER), Verb.STOP, ["left"], [])
     assert elsewhere not in str(raised.value), "its place is known"
