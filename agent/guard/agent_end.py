@@ -67,7 +67,8 @@ class AgentEnd:
         if not answer.get("ok"):
             close_all(got)
             why = {name: answer[name] for name in ("found", "expected", "remedy")}
-            raise GuardError(f"the guard at {self._path} refuses {word.value!r}", **why)
+            whose = answer.get("what") if word is Word.PORT else None  # the port's own refusal, which names it
+            raise GuardError(whose or f"the guard at {self._path} refuses {word.value!r}", **why)
         return got
 
     def say(self, word: Word, fds: Sequence[int] = (), **content: Any) -> None:

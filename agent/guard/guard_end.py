@@ -83,7 +83,8 @@ class GuardEnd:
 
     def refuse(self, error: Refusal) -> None:
         """Say no, and why."""
-        self._reply({"ok": False, "found": str(error.found), "expected": str(error.expected), "remedy": error.remedy})
+        why = {"found": str(error.found), "expected": str(error.expected), "remedy": error.remedy}
+        self._reply({"ok": False, "what": error.what, **why})
 
     def hang_up(self) -> None:
         """Let the agent go."""

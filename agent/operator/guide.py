@@ -57,8 +57,8 @@ STEPS: Final[Mapping[Mode, Step]] = MappingProxyType({
     Mode.HALT: Step("the arm was stopped on its way and stands", "coop park CELL or coop approach CELL", ""),
     Mode.FAULT: Step(
         "the arm does not obey",
-        "support it, and the object if it holds it; lead the others back; once it has its supply again, fold it into "
-        "its rest by hand and start its agent again", "",
+        "support it, and the object if it holds it; lead the others back; once it has its supply and its port again, "
+        "fold it into its rest by hand and start its agent again", "",
     ),
 })  # fmt: skip
 

@@ -51,15 +51,15 @@ from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
+from drivers.dynamixel.errors import PortError, PortLostError
 from drivers.interface import Clock, Driver, DriverError, Refusal
 from sim_backend.hil.driver import BridgeDriver
 
 CLOCK_S = 1.0
 LOOK_S = 0.02  # from one look for a guard or plant that starts beside this process to the next
-LOST_REMEDY = (
-    "support it, and the object if it holds it, lead the others back; once it has its supply again, fold it into its "
-    "rest by hand and start its agent again"
-)
+SUPPORT = "support it, and the object if it holds it, lead the others back"
+AGAIN = "fold it into its rest by hand and start its agent again"
+LOST_REMEDY = f"{SUPPORT}; once it has its supply again, {AGAIN}"
 
 
 class ArmLost(DriverError):
@@ -72,9 +72,12 @@ class ArmLost(DriverError):
         """The summary of a run that ended otherwise.  Raises ArmLost."""
         if summary.mode is Mode.FAULT:
             found, expected, remedy = summary.reason, "a fresh state every cycle", "see the log"
+            leads_back = LOST_REMEDY
             if (lost := summary.lost) is not None and str(lost) == found:  # it says more than its words
                 found, expected, remedy = f"{lost.what}: {lost.found}", str(lost.expected), lost.remedy
-            raise cls(f"arm {arm}", found=found, expected=expected, remedy=LOST_REMEDY if session else remedy)
+                if isinstance(lost, PortError | PortLostError):  # its servos have their supply
+                    leads_back = f"{SUPPORT}; {remedy}; then {AGAIN}"
+            raise cls(f"arm {arm}", found=found, expected=expected, remedy=leads_back if session else remedy)
         return summary
 
 

@@ -208,7 +208,10 @@ class _Guard:
     def _lend(self, *, again: bool, now_ns: int) -> None:
         """The port; again: opened anew, for the agent has lost it."""
         if self._port is None:
-            raise GuardError("port", found="a simulated arm", expected="one with a port", remedy="give both one driver")
+            raise GuardError(
+                f"port from the guard at {self._options.socket}", found="a simulated arm", expected="one with a port",
+                remedy="give both one driver",
+            )  # fmt: skip
         if again:
             self._port.close()
             self._port = self._open_port()

@@ -1,4 +1,4 @@
-"""Guards that hold in the place of their agents, as a whole: `Successor.hold` itself, on emulated servos in virtual time.
+"""Guards that hold in the place of their agents: `Successor.hold` itself, on emulated servos in virtual time.
 
 Steps are those of `phase_rig`; once an agent is killed, words reach its guard over the guard's real control socket, and
 signals its flag.  The run ends when every guard has ended by itself; one that does not is ended, and `ended` says so.

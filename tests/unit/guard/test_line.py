@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import stat
@@ -22,6 +23,7 @@ from agent.guard.guarded import AGAIN_AFTER, CRASHED, Guarded
 from agent.guard.line import GuardError, Said, Word
 from agent.guard.pulse import pulse_vigil
 from agent.telemetry.row.event import Level
+from drivers.dynamixel.line.ports import open_error
 
 CELL, OTHER = "ab" * 32, "cd" * 32
 vigil = partial(pulse_vigil, 5_000_000, shared=False)
@@ -77,6 +79,20 @@ def test_words_and_descriptors_come_through_both_ways(guard: GuardEnd, tmp_path:
     assert not os.get_inheritable(asking.fds[0])
     for fd in (out, into, *said.fds, *asking.fds):
         os.close(fd)
+
+
+def test_a_port_that_the_guard_cannot_open_is_told_as_the_guard_found_it(guard: GuardEnd, tmp_path: Path) -> None:
+    """With its name and what mends it, which a refusal around it would hide; of another word it is the guard's."""
+    lost = open_error("/dev/left", FileNotFoundError(errno.ENOENT, "No such file or directory"))
+    refused = str(lost).replace("port /dev/left", f"the guard at {path(tmp_path)} refuses 'watch'")
+    for word, said in ((Word.PORT, str(lost)), (Word.WATCH, refused)):
+        asking = Asking(AgentEnd(path(tmp_path), CELL), word)
+        assert heard(guard).word is word
+        guard.refuse(lost)
+        asking.join()
+        assert asking.error is not None
+        assert str(asking.error) == said
+        guard.hang_up()
 
 
 @pytest.mark.fault("P7")

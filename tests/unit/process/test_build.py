@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,6 +26,7 @@ from agent.process.commands import AgentOptions
 from agent.process.schedule import schedule_of
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import PortError, StaleJointsError
+from drivers.dynamixel.line.ports import open_error
 from drivers.dynamixel.pace import SHARE
 from drivers.dynamixel.standby import StandbyDriver
 from drivers.interface import Refusal
@@ -124,6 +126,14 @@ def test_an_arm_is_lost_where_its_run_ended_in_a_fault_and_nowhere_else() -> Non
             ArmLost.check("left", replace(ended(Mode.FAULT), reason=str(silent), lost=silent), session=session)
         said = "arm left: found joint state: no reply from servo 4 (joint elbow), expected a fresh value of every joint"
         assert str(lost.value) == f"{said} in this cycle; {remedy}"
+    port = open_error("/dev/left", FileNotFoundError(errno.ENOENT, "No such file or directory"))
+    assert port.remedy.startswith("plug in the adapter; ports here: ")
+    way = f"support it, and the object if it holds it, lead the others back; {port.remedy}; then fold it into its rest"
+    for session, remedy in ((False, port.remedy), (True, f"{way} by hand and start its agent again")):
+        with pytest.raises(ArmLost) as lost:
+            ArmLost.check("left", replace(ended(Mode.FAULT), reason=str(port), lost=port), session=session)
+        said = "arm left: found port /dev/left: nothing of that name, expected a serial port"
+        assert str(lost.value) == f"{said}; {remedy}", "no supply is missing"
     with pytest.raises(
         ArmLost, match="arm left: found servo 4 is silent, expected a fresh state"
     ):  # for another reason

@@ -101,7 +101,7 @@ class Bench:
         self.guard._aside = self.asides.append
         self.guard._arm = SimpleNamespace(name="left")
         self.guard._notifier = SimpleNamespace(alive=self._alive, send=lambda _: None)
-        self.guard._options = SimpleNamespace(driver=driver)
+        self.guard._options = SimpleNamespace(driver=driver, socket=Path("left.guard"))
         self.guard._agent, self.guard._session, self.guard._stroked_ns = "law", True, 0
         self.guard._port, self.guard._drivers, self.guard._told = None, (), {}
         self.guard._driver = SimpleNamespace(drop=self._drop)
@@ -303,7 +303,7 @@ def test_a_guard_lends_again_while_nobody_is_watched_and_has_no_port_of_a_simula
     bench.guard._port = None
     bench.says(Word.PORT)
     (refusal,) = bench.line.refusals
-    assert "a simulated arm" in str(refusal)
+    assert str(refusal).startswith("port from the guard at left.guard: found a simulated arm"), "its agent tells it so"
 
 
 @pytest.mark.parametrize("kept", [True, False])
