@@ -109,16 +109,16 @@ class Guarded:
         """No row will come for a moment, and that is all right."""
         self._say(Word.BUSY, for_s=BUSY_S)
 
-    def poll(self, *, ending: bool = False) -> str:
+    def poll(self, *, ending: bool = False, why: str = "") -> str:
         """What has been found wrong with the guard in this cycle; in the place of a dead one it looks for another.
 
-        ending: this process was asked to end, and holds: some cycles later it asks the guard to go on, and does not
-        return once that has said yes.
+        ending: this process was asked to end, why says by what, and holds: some cycles later it asks the guard to go
+        on, and does not return once that has said yes.
         """
         if ending:
             self._ending += 1
             if self._ending >= HAND_OVER_AFTER and not self._hands_over:
-                self._hands_over = self._has_agreed and self._say(Word.TAKE)
+                self._hands_over = self._has_agreed and self._say(Word.TAKE, why=why)
         if self._end is None:
             self._cycles += 1
             if self._cycles % AGAIN_AFTER == 0:

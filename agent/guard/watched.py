@@ -44,6 +44,7 @@ class Watched:
     kept: deque[bytes] = field(default_factory=lambda: deque(maxlen=ROWS))  # the newest rows, without a gap
     kept_end: int = 0  # index behind the last of them
     handed_over: bool = False  # it has said that it ends, and that the object is held
+    asked_by: str = ""  # by what it was asked to end, as it has said then
     rehearsed: bool = False
 
     @classmethod

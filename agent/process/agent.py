@@ -254,7 +254,7 @@ def _runner(
 
 def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> str:
     """What is wrong with the guard, in every cycle; does not return once it has the hold of an agent told to end."""
-    return "" if guard is None else guard.poll(ending=stop.stopped and options.hold)
+    return "" if guard is None else guard.poll(ending=stop.stopped and options.hold, why=stop.why)
 
 
 def _stand(

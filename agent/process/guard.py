@@ -65,6 +65,11 @@ def _told(reason: str, watched: Watched) -> str:
     return f"{reason}: {damage}" if (damage := watched.damage) else reason
 
 
+def _handed_over(watched: Watched) -> str:
+    """That the agent was asked to end, and by which signal, for the reason of the hold that follows names it."""
+    return f"{HANDED_OVER} ({watched.asked_by})" if watched.asked_by else HANDED_OVER
+
+
 def _q_start(cell: Cell, arm: Arm) -> Vector:
     """Where the arm begins; one that floats does so anywhere, in a cell that need not be right.  Raises CheckError."""
     spec = spec_of(cell, arm)
@@ -165,7 +170,7 @@ class _Guard:
         if watched is None:
             return ""
         if why := self._end_of(watched, now_ns):
-            return HANDED_OVER if watched.handed_over else _told(why, watched)
+            return _handed_over(watched) if watched.handed_over else _told(why, watched)
         if not watched.rehearsed and watched.rows >= REHEARSE_AT:
             watched.rehearsed = True
             beginning(self._agent, watched.last_rows(), "", session=self._session)
@@ -197,7 +202,7 @@ class _Guard:
             elif self._watched is not None and said.word is Word.BUSY:
                 self._watched.vigil.excuse(now_ns + min(BUSY_MAX_NS, round(float(said.content["for_s"]) * 1e9)))
             elif self._watched is not None and said.word is Word.TAKE:
-                self._watched.handed_over = True
+                self._watched.handed_over, self._watched.asked_by = True, str(said.content.get("why", ""))
                 self._line.answer()
         except Refusal as error:
             self._line.refuse(error)

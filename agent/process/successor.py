@@ -69,7 +69,7 @@ class Successor:
             stack.callback(watched.texts.finish)
             stack.callback(watched.writer.finish)
             since = {"last_row_s": round(1e-9 * (clock.now_ns() - int(rows[-1]["stamp_ns"])), 6)} if len(rows) else {}
-            level = Level.INFO if reason == HANDED_OVER else Level.ERROR
+            level = Level.INFO if watched.handed_over else Level.ERROR
             tell.event(level, f"{reason}: the guard holds the arm", **since)
             standing = Standing(arm.name, Mode.HOLD, reason)
             schedule = schedule_of(self._cell, hold=True, shared=options.shared)
@@ -82,7 +82,7 @@ class Successor:
                 options.control, self._cell.fingerprint, standing, watched.process, tell, stack, self._cell.file.rate_hz
             )
             control = hearing.begin()  # once the servos have a torque, which waits for nobody
-            black_box = self._black_box(watched.ring, reason)
+            black_box = self._black_box(watched.ring, reason, wanted=not watched.handed_over)
             # it takes seconds: the arm is let go of first
             stack.callback(black_box.finish, self._notifier.alive, lambda why: tell.warn(f"no post-mortem: {why}"))
             stack.callback(driver.close)
@@ -133,10 +133,10 @@ class Successor:
             time.perf_counter_ns, operator.events, lambda: None, beat, mode_changed, tell.trouble, busy=heart.busy
         )
 
-    def _black_box(self, ring: Path, reason: str) -> BlackBox:
+    def _black_box(self, ring: Path, reason: str, *, wanted: bool) -> BlackBox:
         """The post-mortem of what happened before this hold; none of a hand-over that was asked for."""
         options, arm = self._options, self._arm.name
         file = options.post_mortem / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{arm}-post-mortem.mcap"
         arguments = (options.cell, arm, ring, file, reason)
         cycles = round(POST_MORTEM_AFTER_S * self._cell.file.rate_hz)
-        return BlackBox(list(map(str, arguments)), file, cycles, wanted=reason != HANDED_OVER)
+        return BlackBox(list(map(str, arguments)), file, cycles, wanted=wanted)

@@ -443,7 +443,7 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     before = len(host.rows())
     host.wait(lambda: len(host.rows()) > before + 3 * SOME_ROWS)
     assert guard.poll() is None, "asked to end, it holds until a release"
-    assert "the agent was asked to end: the guard holds the arm" in host.told()
+    assert "the agent was asked to end (SIGTERM: it was told to end): the guard holds the arm" in host.told()
     released = coop("release", host.cell, "--control", host.folder / "left.control", cwd=host.folder)
     assert released.code == 0, released.err
     assert guard.wait(PATIENCE_S) == 0

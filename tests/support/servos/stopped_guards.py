@@ -109,6 +109,7 @@ class StoppedGuards(PhaseRun):
         watched: Any = SimpleNamespace(
             last_rows=lambda: np.array(run.log.rows[-KEPT_ROWS:], dtype=AGENT_STATE.dtype), texts=texts, writer=writer,
             inherit=lambda _: None, process=SimpleNamespace(ended=True), ring=self._folder / f"{arm.name}.ring",
+            handed_over=False,
         )  # fmt: skip
         box = SimpleNamespace(beat=lambda: None, finish=lambda *_: None)
         self._patch.setattr(successor, "BlackBox", lambda *_, **__: box)

@@ -111,7 +111,7 @@ def test_a_guard_names_the_file_that_its_writer_was_given(gate: Path) -> None:
     options: Any = SimpleNamespace(cell=gate.parent / "cell.toml", post_mortem=gate.parent)
     guard: Any = Successor(CELL, CELL.arm("left"), None, options, None, None)  # type: ignore[arg-type]
     told: list[str] = []
-    guard._black_box(gate.parent / "left.ring", "the agent has died").finish(lambda: None, told.append)
+    guard._black_box(gate.parent / "left.ring", "the agent has died", wanted=True).finish(lambda: None, told.append)
     (part,) = gate.parent.glob("*-left-post-mortem.mcap.part")
     assert told == [f"its writer ended with 4, see the guard's journal; what it began is in {part}"]
 
@@ -120,7 +120,7 @@ def test_a_guard_names_the_file_that_its_writer_was_given(gate: Path) -> None:
 def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchdog_is_stroked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: bool
 ) -> None:
-    done: list[str] = []
+    done, wants = list[str](), list[bool]()
 
     def did(what: str) -> Any:
         return lambda *_, **__: done.append(what)
@@ -133,6 +133,7 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
     written = SimpleNamespace(finish=did("ring finished"), row=None)
     watched: Any = SimpleNamespace(
         inherit=did("inherited"), last_rows=list, writer=written, ring=tmp_path / "ring", process=None,
+        handed_over=fails,
         texts=SimpleNamespace(finish=did("texts finished"), event=lambda _: None),
     )  # fmt: skip
     driver: Any = SimpleNamespace(disable=did("torque off"), close=did("closed"))
@@ -147,7 +148,7 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
     with ExitStack() as stack:
         for name, fake in {
             "clock_of": lambda _: SimpleNamespace(utc_offset_ns=0), "go_on": lambda *_, **__: begun,
-            "BlackBox": lambda *_, **__: box, "schedule_of": lambda *_, **__: None,
+            "BlackBox": lambda *_, wanted: (wants.append(wanted), box)[1], "schedule_of": lambda *_, **__: None,
             "AgentRow": lambda *_: None, "Watch": lambda *_: None,
             "Runner": lambda *given: (given[6].busy(), SimpleNamespace(run=run))[1],
             "Teller": lambda *_: SimpleNamespace(
@@ -168,6 +169,7 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
         else:
             held.hold(watched, driver, "the agent has died", session=False)
     assert not stop.released, "said before there was a hold to be released"
+    assert wants == [not fails], "none of a hand-over"
     late = ["waited", "stroke", "no post-mortem: it hung"]
     end = ["torque off", "closed", *late, "ring finished", "texts finished"]
     assert done == ["inherited", "busy", "held", *([] if fails else ["told"]), *end, *([] if fails else ["stopping"])]

@@ -205,8 +205,8 @@ def test_an_agent_that_is_asked_to_end_asks_a_guard_that_hangs_too(bench: Bench)
     """Which goes on once it works again; until then the agent holds."""
     bench.watch()
     bench.cycles(41, looks=False)
-    assert not any(bench.agent.poll(ending=True) for _ in range(HAND_OVER_AFTER))
-    assert bench.said == [(Word.TAKE, (), {})]
+    assert not any(bench.agent.poll(ending=True, why="SIGINT: Ctrl-C") for _ in range(HAND_OVER_AFTER))
+    assert bench.said == [(Word.TAKE, (), {"why": "SIGINT: Ctrl-C"})], "which the guard names in its place"
     bench.answers = [{"ok": True}]
     with pytest.raises(Ended):
         bench.agent.poll(ending=True)
@@ -292,7 +292,7 @@ def test_an_agent_that_was_asked_to_end_hands_over_after_a_hundred_cycles_of_its
         assert not bench.agent.poll(ending=True)
     assert bench.said == []
     assert not any(bench.agent.poll(ending=True) for _ in range(HAND_OVER_AFTER)), "a guard that hangs holds nothing"
-    assert bench.said == [(Word.TAKE, (), {})], "once"
+    assert bench.said == [(Word.TAKE, (), {"why": ""})], "once"
     assert bench.told == []
     bench.answers = [{"ok": False}, {"ok": True}]
     assert not bench.agent.poll(ending=True)
@@ -439,7 +439,7 @@ def test_a_guard_that_did_not_hear_that_it_is_to_go_on_is_told_again(bench: Benc
         bench.answers = [{"ok": True}]  # of another word
         bench.agent.poll(ending=True)
     bench.silent = False
-    assert (bench.agent.poll(ending=True), bench.said, bench.ended) == ("", [(Word.TAKE, (), {})], [])
+    assert (bench.agent.poll(ending=True), bench.said, bench.ended) == ("", [(Word.TAKE, (), {"why": ""})], [])
     bench.answers = [{"ok": True}]
     with pytest.raises(Ended):
         bench.agent.poll(ending=True)

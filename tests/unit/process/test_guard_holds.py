@@ -63,8 +63,9 @@ def test_the_servos_have_a_torque_before_words_are_heard_and_bounds_are_there_al
     monkeypatch.setattr(process.monitors, "bounds", lambda *_: done.append("bounds"))
     texts = SimpleNamespace(finish=lambda: None, event=lambda _: None)
     watched: Any = SimpleNamespace(
-        last_rows=lambda: np.zeros(0, AGENT_STATE.dtype), texts=texts, writer=texts, inherit=lambda _: None
-    )
+        last_rows=lambda: np.zeros(0, AGENT_STATE.dtype), texts=texts, writer=texts, inherit=lambda _: None,
+        handed_over=False,
+    )  # fmt: skip
     with pytest.raises(Refusal, match="this is enough"):
         guard.hold(watched, SimpleNamespace(), "the agent has died", session=False)  # type: ignore[arg-type]
     assert done == ["torque"]

@@ -149,6 +149,10 @@ def test_an_agent_that_died_is_told_from_one_that_handed_over(monkeypatch: pytes
     bench.process.gone = True
     assert bench.look() == HANDED_OVER
     bench = Bench(monkeypatch)
+    bench.says(Word.TAKE, why="SIGHUP: its terminal or connection is gone")
+    bench.process.gone = True
+    assert bench.look() == f"{HANDED_OVER} (SIGHUP: its terminal or connection is gone)", "as the agent would have"
+    bench = Bench(monkeypatch)
     bench.says(Word.TAKE)
     bench.agent.handed_over = True
     assert any((found := bench.look()) for _ in range(20))

@@ -72,9 +72,11 @@ def test_a_guard_and_a_plant_that_come_later_are_waited_for(
 
 def test_an_agent_looks_for_its_guard_and_hands_over_only_when_it_is_told_to_end_and_holds(tmp_path: Path) -> None:
     stop, polled = StopFlag(), list[bool]()
+    stop.why = "SIGHUP: its terminal or connection is gone"
 
-    def poll(*, ending: bool) -> bool:
+    def poll(*, ending: bool, why: str) -> bool:
         polled.append(ending)
+        assert why == stop.why, "which its guard names"
         return gone
 
     gone = True
