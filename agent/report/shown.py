@@ -31,7 +31,7 @@ def start_s(run: Prepared) -> float:
     decays = [START_MIN_S]
     for _, s in object_series(run):
         for error in (s.position_error, s.attitude_error):
-            above = np.flatnonzero(error > 0.1 * error[0])
+            above = np.flatnonzero(error > 0.1 * error[:1])  # nothing of an arm without a fresh state
             if len(above) and s.t[above[-1]] < run.info.transient_s:
                 decays.append(START_DECAYS * float(s.t[above[-1]] - s.t[0]))
     return min(max(decays), run.info.duration_s)
