@@ -26,7 +26,7 @@ MEASURED = {  # how, by key of [gripper]
     "open_tick": "open_tick (the same, wide open)",
     "horn_radius_m": "horn_radius_m (axis of the servo to the rod's pin)",
     "rod_length_m": "rod_length_m (a rod from pin to pin)",
-    "grip_effort": "grip_effort (share of full voltage that the servo bears standing; 0.25 on the shipped arms)",
+    "grip_effort": "grip_effort (share of stall torque that the servo bears standing; 0.25 on the shipped arms)",
 }
 DECIMALS = 6  # of joint angles on the way, so that hosts agree on them bit for bit
 

@@ -52,7 +52,7 @@ class JointMap:
     start_rad: float | None = None  # expected at `enable`; None: anywhere within the limits
     start_tolerance_rad: float = 0.15
     at_rest: bool = False  # start_rad is where the joint lies while the arm rests
-    hold_effort: float = 0.4  # held joints: share of full current, or of full voltage where no current is sensed
+    hold_effort: float = 0.4  # held joints: share of stall torque; where no current is sensed, of the full voltage
     fingers: Fingers | None = None  # of a gripper that can be closed on an object
     grip_effort: float = 0.0  # of such a gripper: share with which it moves and grips
 

@@ -106,7 +106,7 @@ def test_a_gripper_that_is_not_measured_is_refused_with_each_measure_and_its_key
     said = str(refused.value)
     assert "found no closed_tick, no open_tick, no rod_length_m, no grip_effort, expected" in said
     assert "measure closed_tick (position in `coop motors scan`, fingers shut by hand); open_tick (the same" in said
-    assert "rod_length_m (a rod from pin to pin); grip_effort (share of full voltage" in said
+    assert "rod_length_m (a rod from pin to pin); grip_effort (share of stall torque" in said
     assert "horn_radius_m" not in said  # its file has that
     assert set(MEASURED) == set(GRIP_KEYS) < set(GripperJoint.model_fields)
 

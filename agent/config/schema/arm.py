@@ -143,7 +143,7 @@ class GripperJoint(Servos):
     open_tick: Tick | None = None
     horn_radius_m: PartLength | None = None
     rod_length_m: PartLength | None = None
-    grip_effort: PositiveFigure | None = None  # share of full voltage or current with which it closes and keeps closed
+    grip_effort: PositiveFigure | None = None  # share of stall torque with which it closes and keeps closed
     pad_friction: PositiveFigure | None = None  # coefficient between finger and object
 
     @property

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from drivers.dynamixel.servo.codes import OperatingMode
-from drivers.dynamixel.servo.counts import AX_TICK_RAD, MX_CURRENT_UNIT_MA, TICK_RAD, X_CURRENT_UNIT_MA
+from drivers.dynamixel.servo.counts import AX_TICK_RAD, MX_CURRENT_UNIT_MA, TICK_RAD, X_CURRENT_UNIT_MA, Unit
 from drivers.dynamixel.servo.table import (
     ACCELERATION_LIMIT,
     BACKUP_READY,
@@ -72,7 +72,13 @@ class ServoModel:
         return None if register is None else register.default
 
     def share_count(self, generic: Register, share: float) -> int:
-        """Return this share of the largest count that a register of current or voltage can have, whatever its limit."""
+        """Return the count of a current or a voltage at which a standing servo gives this share of its stall torque.
+
+        Of a voltage that is this share of the largest count; the largest current is beyond that of the stall.
+        """
+        if self.register(generic).unit is Unit.CURRENT:
+            assert self.current_unit_mA is not None
+            return round(share * 1e3 * self.stall_current_A / self.current_unit_mA)
         return round(share * (self.register(generic).maximum or 0))
 
     def answers_fast(self, firmware: int) -> bool:

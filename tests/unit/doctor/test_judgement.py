@@ -270,8 +270,8 @@ def test_servos_of_a_held_pair_with_different_limits_hold_alike_and_one_that_can
     rig.put(3, table.CURRENT_LIMIT, 500)
     rig.driver.connect()
     rig.driver.enable()
-    assert rig.get(2, table.GOAL_CURRENT) == rig.get(3, table.GOAL_CURRENT) == round(0.4 * 1193)
+    assert rig.get(2, table.GOAL_CURRENT) == rig.get(3, table.GOAL_CURRENT) == round(0.4 * 2300 / 2.69)
     rig = build(at(WX200, joints=held))
-    rig.put(3, table.CURRENT_LIMIT, 476)
-    with pytest.raises(IdentityError, match=r"servo 3 .*Current Limit: found 476, expected at least 477"):
+    rig.put(3, table.CURRENT_LIMIT, 341)
+    with pytest.raises(IdentityError, match=r"servo 3 .*Current Limit: found 341, expected at least 342"):
         rig.driver.connect()

@@ -22,7 +22,7 @@ MODE, TORQUE, LED, WATCHDOG, PWM, CURRENT, POSITION, MAPPED = 11, 64, 65, 98, 10
 SHADOW = 3
 COMMANDED = (1, 2, 4, 5, 6, 7)
 ARMED = 10  # of 20 ms
-HELD_mA, GRIPPER_PWM = round(0.4 * 1193), round(0.4 * 885)
+HELD, GRIPPER_PWM = round(0.4 * 2300 / 2.69), round(0.4 * 885)
 Write = tuple[int, dict[int, int]]  # address, and what is written there by servo
 
 
@@ -55,10 +55,10 @@ def goals(*, blind: bool = False) -> list[Write]:
     """Of an arm at rest: zero of what is controlled, a limited effort and the present place of what is held."""
     here = [(POSITION, {1: 2048}), (POSITION, {7: 2178})]
     if blind:
-        efforts = [(CURRENT, {1: HELD_mA, 2: 0, 4: 0, 5: 0}), (PWM, {6: 0, 7: GRIPPER_PWM})]
+        efforts = [(CURRENT, {1: HELD, 2: 0, 4: 0, 5: 0}), (PWM, {6: 0, 7: GRIPPER_PWM})]
         return [*efforts, (POSITION, here[0][1] | here[1][1])]
     return [
-        (CURRENT, {1: HELD_mA}), here[0], (CURRENT, {2: 0}), (CURRENT, {4: 0}), (CURRENT, {5: 0}), (PWM, {6: 0}),
+        (CURRENT, {1: HELD}), here[0], (CURRENT, {2: 0}), (CURRENT, {4: 0}), (CURRENT, {5: 0}), (PWM, {6: 0}),
         (PWM, {7: GRIPPER_PWM}), here[1],
     ]  # fmt: skip
 
@@ -282,7 +282,7 @@ def test_the_goals_of_a_pair_are_bounded_by_its_weaker_servo() -> None:
         for servo in rig.driver.found
     ]
     assert goal_limits(found) == {1: 700, 2: 800, 3: 800, 4: 1193, 5: 1193, 6: 885, 7: 885}
-    assert efforts_at_rest(found) == {1: 477, **dict.fromkeys(range(2, 7), 0), 7: 354}, "shares of all there is"
+    assert efforts_at_rest(found) == {1: 342, **dict.fromkeys(range(2, 7), 0), 7: 354}, "shares of what there is"
     weak = [replace(servo, values={**servo.values, "Current Limit": 300, "PWM Limit": 200}) for servo in found]
     assert efforts_at_rest(weak) == {1: 300, **dict.fromkeys(range(2, 7), 0), 7: 200}, "and no more than a servo takes"
 

@@ -104,7 +104,7 @@ def test_nothing_moves_when_torque_comes_on(at_torque_on):
 
 def test_held_joints_are_limited():
     rig = enabled()
-    assert rig.get(1, table.GOAL_CURRENT) == round(0.4 * 1193)
+    assert rig.get(1, table.GOAL_CURRENT) == round(0.4 * 2300 / 2.69), "the waist holds with 0.4 of its stall torque"
     assert rig.get(7, table.GOAL_PWM) == round(0.4 * 885)
 
 

@@ -79,7 +79,7 @@ def test_fingers_that_close_say_a_positive_effort_and_a_force() -> None:
 
 @pytest.mark.parametrize("limit", [500, 885])
 def test_a_lower_limit_of_its_servo_takes_nothing_from_a_grip(limit: int) -> None:
-    """`coop check` counts on the share of full voltage that the arm file names."""
+    """`coop check` counts on the share of stall torque that the arm file names."""
     rig = enabled(with_gripper(), eeprom={"PWM_Limit": limit})
     rig.driver.grip(0.03)
     cycles(rig, 3)
@@ -91,12 +91,16 @@ def test_a_lower_limit_of_its_servo_takes_nothing_from_a_grip(limit: int) -> Non
 
 
 @pytest.mark.parametrize("limit", [400, 1193])
-def test_a_grip_by_current_is_a_share_of_full_current(limit: int) -> None:
-    joint = replace(with_gripper().joints[-1], servo="XM430-W350")
+@pytest.mark.parametrize(("servo", "count", "stall_Nm"), [("XM430-W350", 214, 4.1), ("MX-64", 305, 6.0)])
+def test_a_grip_by_current_is_a_share_of_the_stall_torque(servo: str, count: int, stall_Nm: float, limit: int) -> None:
+    joint = replace(with_gripper().joints[-1], servo=servo)
     grip = GripControl(joint, FINGERS, limit)
-    assert grip.effort == round(0.25 * 1193)
-    state = grip.state((0, 298, 0, 2048), 0)
-    assert abs(state.effort) == pytest.approx(298 / 1193)
+    assert grip.effort == count
+    state = grip.state((0, count, 0, 2048), 0)
+    assert abs(state.effort) == pytest.approx(0.25, abs=1e-3)
+    lever = abs(FINGERS.lever(FINGERS.angle(state.width_m)))
+    assert abs(state.force_N) == pytest.approx(0.25 * stall_Nm / lever, rel=3e-3), "as `coop check` counts it"
+    assert state.force_max_N == pytest.approx(abs(state.force_N))
     assert GripControl(joint, FINGERS, 100).effort == 100, "more than its limit a servo refuses"
 
 

@@ -87,8 +87,10 @@ def test_what_a_model_has_no_register_for_has_no_factory_value() -> None:
     assert SERVOS["MX-64"].default(table.PRESENT_POSITION) is None
 
 
-def test_a_share_is_of_the_largest_count_and_of_none_where_any_count_is_taken() -> None:
-    assert SERVOS["XM430-W350"].share_count(table.GOAL_CURRENT, 0.4) == round(0.4 * 1193) == 477
+def test_a_share_is_of_the_stall_torque_and_of_none_where_any_count_is_taken() -> None:
+    """Its torque at the stall is at 2.3 A (MX-64: 4.1 A), not at the largest current that it takes."""
+    assert SERVOS["XM430-W350"].share_count(table.GOAL_CURRENT, 0.4) == round(0.4 * 2300 / 2.69) == 342
+    assert SERVOS["MX-64"].share_count(table.GOAL_CURRENT, 1.0) == round(4100 / 3.36) == 1220
     assert SERVOS["XL430-W250"].share_count(table.GOAL_PWM, 1.0) == 885
     assert SERVOS["MX-64"].share_count(table.PRESENT_POSITION, 1.0) == 0
     assert models.CONTINUOUS_SHARE == 0.2

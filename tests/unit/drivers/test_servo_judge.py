@@ -120,7 +120,7 @@ def test_start_pose_is_bounded_by_the_joint_s_own_limits_too_and_an_end_stop_may
 
 @pytest.mark.parametrize("slot", [SHOULDER, SHADOW, ELBOW, WAIST], ids=lambda slot: slot.title)
 def test_current_limit_of_every_servo_that_takes_torque_or_holds_by_it(slot) -> None:
-    needed = 477 if slot is WAIST else CurrentDrive(slot.joint).needed_count  # 0.4 of 1193 hold the waist
+    needed = 342 if slot is WAIST else CurrentDrive(slot.joint).needed_count  # 0.4 of 2.3 A hold the waist
     assert broken(servo(slot, Current_Limit=needed)) == []
     assert broken(servo(slot, Current_Limit=needed - 1)) == [judge.CURRENT_LIMIT]
 
