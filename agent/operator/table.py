@@ -51,6 +51,11 @@ MODES: Final = tuple(mode for mode in Mode if mode <= Mode.FAULT)  # of an agent
 
 _OF_SESSION = (Verb.APPROACH, Verb.GRASP, Verb.LOWER, Verb.PARK)
 _NO_SESSION = Effect(None, "it began with the object in its gripper", "start its agent with --whole, arms at rest")
+_NOT_YET = Effect(
+    None,
+    "its torque is off, for it is starting or ending",
+    "wait until it is at REST; one that says READY instead began with the object in its gripper: start it with --whole",
+)
 _AGAIN = "release it once the object is supported, and start its agent again"
 _UNBEGUN = "has no torque yet: it stays off, and its agent ends (a simulated arm begins all the same"
 _LETS_GO = "lets go and ends, as a simulated arm does"
@@ -98,7 +103,7 @@ TABLE: Final[Mapping[Verb, Mapping[Mode, Effect]]] = MappingProxyType({
         Mode.FAULT: Effect(None, "it does not obey, and its agent ends by itself", "support it, then cut its supply"),
     }),
     Verb.STATUS: _in_each({mode: Effect(mode, "says how things are") for mode in MODES}),
-    **{verb: _in_each(dict.fromkeys(MODES, _NO_SESSION)) for verb in Verb if verb in _OF_SESSION},
+    **{verb: _in_each({**dict.fromkeys(MODES, _NO_SESSION), Mode.OFF: _NOT_YET}) for verb in _OF_SESSION},
 })  # fmt: skip
 
 
