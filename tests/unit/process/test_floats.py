@@ -101,7 +101,7 @@ def test_an_arm_that_is_let_go_rests_or_drifts_slowly_where_its_weight_is_not_wh
 
 
 def test_a_hand_moves_it_against_the_drag_and_what_it_leaves_comes_to_rest() -> None:
-    run = FloatRun(CELL, q_start=FORWARD, hand=pushed((3.0, 0.0, 2.0), 0.2, 0.7), until_s=1.3)
+    run = FloatRun(CELL, q_start=FORWARD, hand=pushed((2.7, 0.0, 1.8), 0.2, 0.7), until_s=1.3)
     (q0, _), (q1, dq) = part(run, 0.1, 0.2), part(run, 1.1, 1.3)
     assert np.abs(q1[-1] - q0[-1]).max() > 0.15
     assert np.abs(dq).max() < 0.06

@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import configs
+from agent.config.cell import load_cell
 from agent.log import file as log_file
 from agent.log.file import LogFileError
 from agent.log.read import read_log
@@ -28,11 +30,17 @@ from tests.support.telemetry.telemetry_cell import UTC_0_NS, make_rows
 CELL, ROWS = configs.CELLS_DIR / "paper.toml", 40
 
 
+def rows_of_cell() -> np.ndarray:
+    rows = make_rows("left", ROWS)
+    rows["config_id"] = load_cell(CELL).config_id
+    return rows
+
+
 @pytest.fixture
 def ring(tmp_path: Path) -> Iterator[Path]:
     path = tmp_path / "left.ring"
     with RingWriter(path, AGENT_STATE, "left", ("shoulder", "elbow"), slots=64) as writer:
-        for row in make_rows("left", ROWS):
+        for row in rows_of_cell():
             writer.row[...] = row
             writer.commit()
         yield path
@@ -44,7 +52,7 @@ def test_it_has_its_name_once_it_is_whole(tmp_path: Path, ring: Path) -> None:
     assert list(out.parent.iterdir()) == [out]
     log = read_log(out)
     assert not log.problems
-    assert log.agents["left"].tobytes() == make_rows("left", ROWS).tobytes()
+    assert log.agents["left"].tobytes() == rows_of_cell().tobytes()
     assert log.metadata["post_mortem"] == {"arm": "left", "cause": "the agent has died"}
 
 
