@@ -41,7 +41,7 @@ def _open_closed_streams() -> None:
         if getattr(sys, name) is None:
             nowhere = os.open(os.devnull, os.O_RDWR)
             os.set_inheritable(nowhere, True)
-            setattr(sys, name, os.fdopen(nowhere, mode, encoding="utf-8"))
+            setattr(sys, name, os.fdopen(nowhere, mode, encoding="utf-8", closefd=False))  # a copy replaces it
 
 
 def hear_stops() -> None:

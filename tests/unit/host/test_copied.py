@@ -43,6 +43,25 @@ def told(tmp_path: Path) -> Told:
     return run
 
 
+def test_a_copy_of_a_process_without_standard_streams_is_heard(tmp_path: Path) -> None:
+    """As of a `coop run` of a service or `>&- 2>&-`; one that says nothing is waited for."""
+    code = f"""from agent.host.starting import settle
+settle()
+{BEGIN}
+def be():
+    print("READY", flush=True)
+    with open("file", "wb") as file:
+        print(file.fileno() > 2, file=sys.stderr)
+    return 0
+copy = copied(be)
+Path("told").write_text(f"{{copy.stdout.read().decode()}}{{copy.wait()}}")
+"""
+    closed = ["sh", "-c", 'exec "$0" -c "$1" <&- >&- 2>&-', sys.executable, code]
+    subprocess.run(closed, cwd=tmp_path, check=True, timeout=60)
+    assert (tmp_path / "told").read_text() == "READY\n0"
+    assert (tmp_path / "words").read_text() == "True\n"
+
+
 @pytest.mark.parametrize(
     ("end", "code", "words"),
     [
