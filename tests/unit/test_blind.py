@@ -358,12 +358,16 @@ def louder(run: CoupledRun) -> None:
 @pytest.mark.parametrize("name", ["two_wx200", pytest.param("paper_real", marks=pytest.mark.long)])
 @pytest.mark.fault("M5")
 def test_a_hold_of_ten_times_the_gain_brakes_and_goes_on_by_its_joints(name: str) -> None:
-    """Without the sign of the torque's steps `two_wx200`, which begins to swing after 0.12 s, makes 0.5 rad/s."""
+    """Without the sign of the torque's steps `two_wx200`, which begins to swing after 0.12 s, makes 0.5 rad/s.
+
+    `paper_real` begins after 0.15 s; by the phase of its cycles one to four of them brake, at 0.27 to 0.54 rad/s.
+    """
+    swings_s = BEGIN_S + {"two_wx200": 0.0, "paper_real": 0.1}[name]
     cell = load_cell(configs.CELLS_DIR / f"{name}.toml", ["duration_s=10.0"])
     run = held(cell, (BEGIN_S, louder))
-    assert_bounded(run, cell, BEGIN_S)
+    assert_bounded(run, cell, swings_s)
     assert fastest(run.between(BEGIN_S, END_S)) < 1.0
-    assert fastest(run.between(BEGIN_S + 0.1, END_S)) <= 0.3
+    assert fastest(run.between(swings_s + 0.1, END_S)) <= 0.3
     assert moved(run.between(BEGIN_S, END_S)) < 0.05
     for arm in run.arms.values():
         damped, gentle = flagged(arm.rows, Flag.DAMPED), flagged(arm.rows, Flag.GENTLE)
