@@ -75,7 +75,8 @@ def flood(endpoint: str) -> Iterator[list[int]]:
         config = zenoh.Config()
         config.insert_json5("connect/endpoints", f'["{endpoint}"]')
         config.insert_json5("scouting/multicast/enabled", "false")
-        retry = "{ period_init_ms: 20, period_max_ms: 20, period_increase_factor: 1 }"  # a recorder of a run lives short
+        # a recorder of such a run lives for a second
+        retry = "{ period_init_ms: 20, period_max_ms: 20, period_increase_factor: 1 }"
         config.insert_json5("connect/retry", retry)
         with zenoh.open(config) as session:
             while not stop.is_set():
