@@ -185,8 +185,7 @@ def marked_groups(ids: tuple[int, ...], *, fast: bool) -> list[GroupRead]:
     """Group reads to be used in turn, at least MARKS of them that cannot be taken for each other."""
     turned = [[*ids[turn:], *ids[:turn]] for turn in range(len(ids))]
     if fast and 2 * len(ids) >= MARKS:
-        proof = 2 + (
-            len(ids) % 2 == 0
-        )  # a rotation and a reversed one agree in one place of an odd number, two of even
+        # a rotation and a reversed one agree in one place of an odd number, in two or none of an even one
+        proof = 2 if len(ids) % 2 else 3
         return [_group(order, 0, fast=True, proof=proof) for turn in turned for order in (turn, turn[::-1])]
     return [_group(turned[mark % len(ids)], mark, fast=fast) for mark in range(MARKS)]

@@ -97,6 +97,8 @@ def test_the_answer_to_no_other_request_has_as_many_blocks_in_the_order_asked_fo
         if asked_for.data_length == answered.data_length:  # else its head is another
             agree = sum(a == b for a, b in zip(asked_for.ids, answered.ids, strict=True))
             assert agree < asked_for._proof
+    agree = 2 if count % 2 == 0 else 1
+    assert {group._proof for group in groups} == {1 + agree if count > 4 else 1}, "and no more, for few may answer"
 
 
 @pytest.mark.parametrize(("ids", "fast"), [((1, 2, 3, 4), True), ((1,), True), ((1, 2, 3, 4, 5), False)])

@@ -5,9 +5,11 @@ from __future__ import annotations
 import random
 import struct
 from collections.abc import Mapping, Sequence
+from itertools import permutations
 
 import pytest
 
+from drivers.dynamixel.cycle import marked_groups
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.codec import MAX_PACKET
 from drivers.dynamixel.line.group import GroupRead, GroupReply, GroupWrite, Row
@@ -48,6 +50,12 @@ def rows_of(ids: Sequence[int], errors: Mapping[int, int] | None = None) -> list
 def hit(data: bytes, *places: int) -> bytes:
     """With one bit of each of these bytes flipped."""
     return bytes(byte ^ 0x10 if place in places else byte for place, byte in enumerate(data))
+
+
+def late_and_damaged(ids: Sequence[int], asked_for: Sequence[int], length: int) -> bytes:
+    """An answer to other IDs in which only those blocks are intact whose place fits what was asked for."""
+    hits = [place * (length + 4) + HEAD + 4 for place, i in enumerate(ids) if i != asked_for[place]]
+    return hit(merged(ids, length), *hits)
 
 
 def read(ids: Sequence[int] = IDS, *, fast: bool = True, **how: int) -> GroupRead:
@@ -212,3 +220,14 @@ def test_a_write_that_looks_like_a_header_is_stuffed() -> None:
     packet = GroupWrite(116, "i", [1, 2]).packet([-131073, -3])  # FF FF FD FF after ID 1
     assert packet == codec.sync_write(116, 4, {1: b"\xff\xff\xfd\xff", 2: b"\xfd\xff\xff\xff"})
     assert packet.count(b"\xff\xff\xfd\xfd") == 1
+
+
+@pytest.mark.parametrize("count", range(2, 10))
+def test_no_old_row_is_believed_of_an_answer_to_any_other_request_of_which_all_that_contradicts_is_damaged(
+    count: int,
+) -> None:
+    for group, other in permutations(marked_groups(tuple(range(1, count + 1)), fast=True), 2):
+        old = late_and_damaged(other.ids, group.ids, other.data_length)
+        assert group.parse(old, final=True).rows == [None] * count, (group.ids, other.ids)
+        reply = group.parse(old + merged(group.ids, group.data_length), final=True)
+        assert None not in reply.rows
