@@ -16,7 +16,7 @@ from drivers.dynamixel.servo.codes import OperatingMode
 from drivers.dynamixel.servo.units import AngleScale, current_unit_A, ticks_rad, velocity_count
 
 SILENT_LIMIT_CYCLES = 8
-LATE_LIMIT_CYCLES = 4  # the first that are silent cannot bring a late answer: there was none to come
+LATE_LIMIT_CYCLES = 3  # the first that are silent cannot bring a late answer: there was none to come
 NOISE_LIMIT_CYCLES = 5
 NOISE_BYTES = 128  # beyond all that was asked for; an answer that came late is there once
 NO_EFFECT_AFTER_S = 0.04

@@ -180,6 +180,7 @@ _EXPLAINS = {
     }),
     FaultCause.HARDWARE_ERROR: frozenset({FaultCause.TORQUE_LOST, FaultCause.NO_EFFECT}),
     FaultCause.TORQUE_LOST: frozenset({FaultCause.NO_EFFECT}),
+    FaultCause.OUTDATED: frozenset({FaultCause.SILENT}),  # an answer that is many cycles late is not there at first
     FaultCause.WATCHDOG_TRIPPED: frozenset({FaultCause.NO_EFFECT}),
 }  # fmt: skip
 

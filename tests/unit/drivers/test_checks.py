@@ -97,10 +97,10 @@ def test_damage_goes_before_late_answers_and_must_have_come_in_each_of_the_cycle
 
 
 @pytest.mark.parametrize(
-    ("first", "cause"), [(0, FaultCause.OUTDATED), (4, FaultCause.OUTDATED), (5, FaultCause.SILENT)]
+    ("first", "cause"), [(0, FaultCause.OUTDATED), (5, FaultCause.OUTDATED), (6, FaultCause.SILENT)]
 )
-def test_late_answers_are_the_cause_where_they_came_in_the_last_four_cycles(first: int, cause: FaultCause) -> None:
-    """An answer that is four cycles late comes for the first time in the fifth."""
+def test_late_answers_are_the_cause_where_they_came_in_the_last_three_cycles(first: int, cause: FaultCause) -> None:
+    """An answer that is five cycles late comes for the first time in the sixth."""
     check = SilenceCheck((WAIST,))
     assert all(silent(check, True, late=cycle >= first) == [] for cycle in range(7))
     (fault,) = silent(check, True, late=True)

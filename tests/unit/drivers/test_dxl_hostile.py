@@ -244,16 +244,45 @@ def test_a_port_that_repeats_an_old_reply_is_outdated_and_never_a_state(age: int
 
 
 @pytest.mark.parametrize("firmware", [44, 46])
-@pytest.mark.parametrize("delay_ms", [5.0, 10.0, 20.0])
-def test_an_adapter_that_holds_answers_back_is_named_before_its_servos(delay_ms: float, firmware: int) -> None:
+@pytest.mark.parametrize(
+    ("delay_ms", "servo_id"), [(5.0, None), (10.0, None), (16.0, None), (20.0, None), (5.0, 4), (10.0, 4), (16.0, 4)]
+)
+def test_an_adapter_that_holds_answers_back_is_named_before_its_servos(
+    delay_ms: float, servo_id: int | None, firmware: int
+) -> None:
     rig = build(firmware=firmware, timing=BusTiming())
     rig.driver.connect()
     rig.driver.enable()
     cycles(rig, 20)
-    rig.fault(FaultKind.DELAY, None, delay_ms=delay_ms)
+    rig.fault(FaultKind.DELAY, servo_id, delay_ms=delay_ms)
     first = next(error for error in cycles(rig, 12) if isinstance(error, DxlServoFault))
     assert first.cause is FaultCause.OUTDATED
     assert "unplug and plug" in first.remedy
+
+
+@pytest.mark.parametrize(("delay_ms", "servo_id"), [(45.0, None), (20.0, 4)])
+def test_an_answer_so_late_that_its_servo_was_called_silent_explains_that_later(
+    delay_ms: float, servo_id: int | None
+) -> None:
+    rig = build(timing=BusTiming())
+    rig.driver.connect()
+    rig.driver.enable()
+    cycles(rig, 20)
+    rig.fault(FaultKind.DELAY, servo_id, delay_ms=delay_ms)
+    causes = [error.cause for error in cycles(rig, 20) if isinstance(error, DxlServoFault)]
+    assert (causes[0], causes[-1]) == (FaultCause.SILENT, FaultCause.OUTDATED)
+    assert "no answer of this cycle comes from it; it looked like: does not answer" in [e.text for e in rig.events]
+
+
+@pytest.mark.parametrize("firmware", [44, 46])
+@pytest.mark.parametrize("servo_id", [None, 1, 4, 7])
+def test_a_servo_that_is_silent_is_not_put_down_to_the_adapter(servo_id: int | None, firmware: int) -> None:
+    rig = build(firmware=firmware, timing=BusTiming())
+    rig.driver.connect()
+    rig.driver.enable()
+    cycles(rig, 20)
+    rig.fault(FaultKind.SILENT, servo_id)
+    assert {error.cause for error in cycles(rig, 60) if isinstance(error, DxlServoFault)} == {FaultCause.SILENT}
 
 
 def test_a_port_that_works_again_after_repeating_gives_fresh_states() -> None:
