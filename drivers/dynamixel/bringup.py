@@ -152,7 +152,10 @@ class BringUp:
                 raise PoseError.of(misfit)
 
     def torque_on(self) -> None:
-        """Watchdog and proof that every servo has it, then torque and proof of both.  Raises DxlServoFault."""
+        """Watchdog and proof that every servo has it, then torque and proof of both.
+
+        Raises DxlServoFault, and IdentityError of a servo that has had to switch itself off.
+        """
         watchdog = watchdog_count(self._arm.watchdog_s)
         for servo in self._commanded:
             self._bus.write(servo.slot.servo_id, BUS_WATCHDOG, watchdog)
@@ -161,11 +164,21 @@ class BringUp:
         try:
             self._bus.write_blind(TORQUE_ENABLE, {servo.slot.servo_id: 1 for servo in self._commanded})
             for servo in self._servos:
-                self._verify(servo, TORQUE_ENABLE, 1)
+                self._obeys(servo)
                 self._verify(servo, BUS_WATCHDOG, watchdog)
         except DriverError:
             torque_off(self._bus, self._arm)
             raise
+
+    def _obeys(self, servo: ServoFound) -> None:
+        """It has the torque that it was told to have; where it has a reason not to, that is what is told."""
+        try:
+            self._verify(servo, TORQUE_ENABLE, 1)
+        except DxlServoFault as fault:
+            misfit = broken(HARDWARE, self._again(servo, HARDWARE_ERROR_STATUS))
+            if misfit is None:
+                raise
+            raise IdentityError.of(misfit) from fault
 
     def has_stopped(self, *, half_armed: bool = False) -> bool:
         """Whether the arm needs `rearm`: a bus watchdog has fired and every servo has its torque; writes nothing.

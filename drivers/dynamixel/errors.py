@@ -202,6 +202,8 @@ class DxlServoFault(ServoFault):
     ) -> None:
         """of_all: no servo of the arm has torque any more."""
         first = "support the object, for the arm holds nothing" if of_all else "hold or lower the arm"
+        if cause is FaultCause.REFUSED_TORQUE:  # at the start alone, which then switches the others off again
+            first = "the arm has no torque"
         super().__init__(
             f"servo {servo_id} ({joint}): {cause.value}",
             found=found,

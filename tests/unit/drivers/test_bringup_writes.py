@@ -13,7 +13,7 @@ from drivers.dynamixel.events import EventKind
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.codes import Instruction, StatusError
+from drivers.dynamixel.servo.codes import HardwareError, Instruction, StatusError
 from drivers.dynamixel.servo.table import Register
 from sim_backend.wire.faults import FaultKind
 from tests.support.servos.dxl_rig import WX200, Rig, at, build, enabled
@@ -336,3 +336,19 @@ def test_a_servo_that_does_not_take_its_goal_or_watchdog_is_named(
     assert (caught.value.cause, caught.value.servo_id) == (cause, servo_id)
     torque_on = [rig.get(i, table.TORQUE_ENABLE) for i in range(1, 8)]
     assert torque_on == [int(again)] * 7
+
+
+def test_a_servo_that_switches_itself_off_right_before_its_torque_is_told_with_its_cause() -> None:
+    rig = build()
+    rig.driver.connect()
+    really = rig.driver._bus.write_blind
+
+    def late(register: Register, values: dict[int, int]) -> None:
+        if register is table.TORQUE_ENABLE and 1 in values.values():
+            rig.servo(4).firmware.raise_error(HardwareError.OVERLOAD)
+        really(register, values)
+
+    rig.driver._bus.write_blind = late  # type: ignore[method-assign]
+    with pytest.raises(IdentityError, match=r"servo 4 \(elbow\): hardware error: found OVERLOAD.*supply off and on"):
+        rig.driver.enable()
+    assert [rig.get(i, table.TORQUE_ENABLE) for i in range(1, 8)] == [0] * 7
