@@ -22,6 +22,10 @@ NOISE_BYTES = 128  # beyond all that was asked for; an answer that came late is 
 NO_EFFECT_AFTER_S = 0.04
 GOAL_WORTH_A = 0.15  # smaller goals may drown in what the servo does not resolve
 ANSWER_WORTH_A = 0.01  # three counts: less is no current at all
+PART = 0.5  # of its goal, or of the current that it stalls with: a slow servo on 9 V and at its hottest gives more
+PART_S = 0.5
+PART_WORTH_A = 0.3
+PART_SPEED = 0.1  # of the no-load speed: so much less is what back-EMF takes
 JUMP_SPEED = 1.25  # of the no-load speed at 12 V: what 14.8 V gives
 JUMP_RAD = ticks_rad(4)
 PAIR_FIGHT_A = 0.2
@@ -150,6 +154,33 @@ class EffectCheck:
         return None
 
 
+class PartCheck:
+    """Far less current than commanded, of one servo in current mode, where neither back-EMF nor supply explains it.
+
+    It tells an event, never a fault: how exactly a real servo keeps a current is not known, and there is some torque.
+    """
+
+    def __init__(self, slot: ServoSlot, rate_hz: float) -> None:
+        self._slot = slot
+        self._unit_A = current_unit_A(slot.model)
+        self._worth = ceil(PART_WORTH_A / self._unit_A)
+        self._stall = slot.model.stall_current_A / self._unit_A
+        self._slow = velocity_count(PART_SPEED * slot.model.no_load_rad_per_s)
+        self._limit = max(2, ceil(PART_S * rate_hz))
+        self._count = 0
+
+    def check(self, goal: int, row: Row, tell: OncePerServo) -> None:
+        """Compare the goal this servo had when it answered; small goals and fast joints say nothing either way."""
+        if abs(goal) < self._worth or abs(row[2]) > self._slow:
+            return
+        short = row[1] * goal < PART * min(abs(goal), self._stall) * abs(goal)
+        self._count = self._count + 1 if short else 0
+        slot, found = self._slot, self._count >= self._limit
+        if found or tell.is_active(EventKind.PART_OF_CURRENT, slot.servo_id):
+            text = f"{row[1] * self._unit_A:.3f} A of {goal * self._unit_A:.3f} A, in {self._count} slow cycles"
+            tell.tell(DriverEvent(EventKind.PART_OF_CURRENT, text, slot.servo_id, slot.joint.name), active=found)
+
+
 class PairCheck:
     """A servo and its shadow: same direction of effort, same way travelled."""
 
@@ -182,10 +213,10 @@ class PairCheck:
             tell.tell(DriverEvent(EventKind.PAIR_FIGHTING, text, slot.servo_id, slot.joint.name), active=fighting)
 
 
-def effect_checks(arm: ArmMap) -> dict[int, EffectCheck]:
+def effect_checks(arm: ArmMap) -> dict[int, tuple[EffectCheck, PartCheck]]:
     """Checks of the servos whose current is commanded (of controlled joints alone), by place in `ArmMap.slots`."""
     return {
-        place: EffectCheck(slot, arm.rate_hz)
+        place: (EffectCheck(slot, arm.rate_hz), PartCheck(slot, arm.rate_hz))
         for place, slot in enumerate(arm.slots)
         if slot.joint.mode is OperatingMode.CURRENT
     }

@@ -17,6 +17,7 @@ class EventKind(enum.Enum):
     HOT = "servo is close to its temperature limit"
     HEATING = "servo will reach its temperature limit"
     VOLTAGE = "supply voltage is close to a limit"
+    PART_OF_CURRENT = "servo gives a part of the current it was told"
     PAIR_FIGHTING = "servos of one joint push against each other"
     PAIR_APART = "servos of one joint moved apart"
     SLOW_CHECKS = "servo checks take longer than they should"

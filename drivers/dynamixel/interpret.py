@@ -88,10 +88,13 @@ class Interpreter:
             present = self._currents(entry, rows)
             if present is not None:
                 tau[index] = entry.drive.measured_Nm(present, dq[index])
-        for place, check in self._effects.items():
+        for place, (effect, part) in self._effects.items():
             row = rows[place]
-            if row is not None and (fault := check.check(goals[place], row)) is not None:
+            if row is None:
+                continue
+            if (fault := effect.check(goals[place], row)) is not None:
                 faults.append(fault)
+            part.check(goals[place], row, self._tell)
         for first, second, pair in self._pairs:
             followed, shadow = rows[first], rows[second]
             if followed is not None and shadow is not None:

@@ -38,6 +38,11 @@ DRIVER: Entries = {
         ("JumpCheck.__init__", "self.in_a_row = 0", "self.in_a_row = 1"): "the first angle, always believed, sets it",
         ("EffectCheck.check", "return None", "pass"): _NONE,
         (
+            "PartCheck.check",
+            "if found or tell.is_active(EventKind.PART_OF_CURRENT, slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+        (
             "PairCheck.check",
             "if apart or tell.is_active(EventKind.PAIR_APART, slot.servo_id):",
             "if True:",

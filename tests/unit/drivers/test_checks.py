@@ -17,6 +17,7 @@ from drivers.dynamixel.checks import (
     JumpCheck,
     NoiseCheck,
     PairCheck,
+    PartCheck,
     SilenceCheck,
     effect_checks,
 )
@@ -251,6 +252,76 @@ def test_only_servos_whose_current_is_commanded_are_checked_for_effect() -> None
     assert [WX200.slots[place].servo_id for place in effect_checks(WX200)] == [2, 3, 4, 5]
 
 
+# --- a part of the current -------------------------------------------------------------------------------------------
+
+PART_FROM, STALL, CALM = 112, 855, 20  # counts of 2.69 mA and of 0.229 rpm
+
+
+class Parts:
+    """What was told of a servo that gives a part of what it is told."""
+
+    def __init__(self, rate_hz: float = RATE_HZ) -> None:
+        self.events: list[DriverEvent] = []
+        self._tell = OncePerServo(self.events.append)
+        self._check = PartCheck(ELBOW, rate_hz)
+
+    def __call__(self, goal: int, answer: Row, cycles: int = 1) -> int:
+        for _ in range(cycles):
+            self._check.check(goal, answer, self._tell)
+        return len(self.events)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("goal", "current", "velocity", "told"),
+    [
+        (PART_FROM, 55, CALM, True),
+        (PART_FROM, 55, -CALM, True),
+        (PART_FROM, 56, 0, False),
+        (PART_FROM, -300, 0, True),
+        (PART_FROM - 1, 0, 0, False),
+        (300, 0, CALM + 1, False),
+        (300, 0, -CALM - 1, False),
+        (1193, 427, 0, True),
+        (1193, STALL // 2 + 1, 0, False),  # more than it stalls with nobody can ask of it
+    ],
+)
+def test_a_slow_servo_that_gives_less_than_half_of_a_current_that_it_can_give_is_told(
+    sign: int, goal: int, current: int, velocity: int, told: bool
+) -> None:
+    parts, answer = Parts(), row(sign * current, sign * velocity)
+    assert parts(sign * goal, answer, 99) == 0
+    assert parts(sign * goal, answer, 20) == told
+
+
+@pytest.mark.parametrize(("rate_hz", "cycles"), [(200.0, 100), (201.0, 101), (4.0, 2), (1.0, 2)])
+def test_a_part_of_the_current_is_told_after_half_a_second_and_two_cycles(rate_hz: float, cycles: int) -> None:
+    parts = Parts(rate_hz)
+    assert parts(300, row(30), cycles - 1) == 0
+    assert parts(300, row(30)) == 1
+
+
+def test_one_cycle_with_its_current_begins_the_count_anew_and_one_that_says_nothing_does_not() -> None:
+    parts = Parts()
+    for _ in range(2):
+        assert parts(300, row(30), 99) == 0
+        assert parts(300, row(150)) == 0
+    assert parts(300, row(30), 99) == 0
+    assert parts(0, row()) == 0
+    assert parts(300, row(30, 200)) == 0
+    assert parts(300, row(30)) == 1
+
+
+def test_a_part_of_the_current_is_told_in_amperes_once_until_it_has_ended() -> None:
+    parts = Parts()
+    assert parts(-300, row(-58), 300) == 1
+    assert parts(-300, row(-300)) == 1
+    assert parts(-300, row(-58), 100) == 2
+    event = parts.events[0]
+    assert (event.kind.name, event.servo_id, event.joint) == ("PART_OF_CURRENT", 4, "elbow")
+    assert event.text == "-0.156 A of -0.807 A, in 100 slow cycles"
+
+
 # --- servos of one joint ---------------------------------------------------------------------------------------------
 
 FIGHT = 75  # counts
@@ -355,4 +426,11 @@ def test_servos_apart_are_told_once_and_again_after_they_were_together() -> None
 
 def test_the_arm_of_another_rate_is_checked_at_its_rate() -> None:
     checks = effect_checks(at(WX200, rate_hz=50.0))
-    assert all([check.check(300, row()) is not None for _ in range(2)] == [False, True] for check in checks.values())
+    for effect, _ in checks.values():
+        assert [effect.check(300, row()) is not None for _ in range(2)] == [False, True]
+    events: list[DriverEvent] = []
+    for _, part in checks.values():
+        for _ in range(25):
+            assert events == []
+            part.check(300, row(30), OncePerServo(events.append))
+        assert events.pop().kind.name == "PART_OF_CURRENT"

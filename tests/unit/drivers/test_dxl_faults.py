@@ -113,6 +113,21 @@ def test_a_healthy_arm_never_complains():
     assert set(rig.kinds()) == {"EEPROM_WRITTEN"}
 
 
+@pytest.mark.parametrize("servo_id", [4, 3])
+def test_a_servo_that_gives_a_few_per_cent_of_its_torque_is_named_and_no_fault(servo_id):
+    """60 of 885 counts of PWM; the joints are so heavy that they hardly move, so that no back-EMF explains it."""
+    rig = ready()
+    for joint in rig.cell.arms[0].joints:
+        joint.free.dq_rad_per_s = 0.0
+        joint.free.inertia_kg_m2 = 1e3
+    assert all(c.error is None for c in cycles(rig, 20, 2.0 * np.ones(4)))
+    rig.servo(servo_id).firmware.accept(table.GOAL_PWM, 60)
+    assert all(c.error is None for c in cycles(rig, 110, 2.0 * np.ones(4)))
+    told = [(e.servo_id, e.text) for e in rig.events if e.kind.name == "PART_OF_CURRENT"]
+    assert [i for i, _ in told] == [servo_id]
+    assert told[0][1].startswith("0.156 A of ")
+
+
 @pytest.mark.parametrize(("kind", "rate_hz"), [(FaultKind.CORRUPT, 200.0), (FaultKind.DROP, 100.0)])
 @pytest.mark.fault("B1")
 def test_one_lost_reply_is_asked_for_again_where_the_period_has_room(kind, rate_hz):

@@ -153,6 +153,16 @@ def test_goals_are_held_against_the_current_of_the_servo_they_were_sent_to(servo
     assert bench.read(rows(**still | {f"s{servo}": None}), goals).faults == [], "nothing to compare"
 
 
+def test_a_part_of_its_goal_is_told_of_the_servo_it_was_sent_to_and_is_no_fault() -> None:
+    bench = Bench()
+    goals = [300 if place == PLACES[3] else 0 for place in range(7)]
+    assert all(bench.read(rows(s3=(0, 30, 0, 2048)), goals).faults == [] for _ in range(99))
+    assert bench.read(rows(s3=None), goals).faults == [], "nothing to compare"
+    assert bench.events == []
+    bench.read(rows(s3=(0, 30, 0, 2048)), goals)
+    assert [(event.kind.name, event.servo_id) for event in bench.events] == [("PART_OF_CURRENT", 3)]
+
+
 def test_servos_of_one_joint_are_compared_when_both_answer() -> None:
     bench = Bench()
     fight = {"s2": (0, 300, 0, 2048), "s3": (0, -300, 0, 2048)}
