@@ -17,6 +17,7 @@ import pytest
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import DxlServoFault, FaultCause, PortError, PortLostError, StaleJointsError
+from drivers.dynamixel.events import DriverEvent, EventKind
 from drivers.interface import DriverError, JointState, StaleStateError, Vector
 from tests.support.servos.dxl_rig import WX200, at
 from tests.support.servos.patience import be_patient
@@ -30,6 +31,7 @@ ARM = at(
     joints=tuple(replace(j, start_rad=None, position_limit_ticks=(0, 4095)) for j in WX200.joints),
 )
 CYCLES = 50
+STAY = np.zeros(4)
 PATIENCE = 500  # cycles: what must happen happens long before
 
 
@@ -63,8 +65,8 @@ def command(path: Path, **fault) -> None:
     (path.parent / "reply").unlink()
 
 
-def run(driver: DynamixelDriver, cycles: int, until: type[Exception] | None = None):
-    """So many states of a loop that holds the arm where it is; or it stops at an error of type `until`, and returns it.
+def run(driver: DynamixelDriver, cycles: int, until: type[Exception] | None = None, offset_rad: Vector = STAY):
+    """So many states of a loop that holds the arm so far from where it is; or those before an error of `until`, and it.
 
     Cycles without a state are repeated: on a machine that stalls some have none.
     """
@@ -86,7 +88,7 @@ def run(driver: DynamixelDriver, cycles: int, until: type[Exception] | None = No
             raise
         else:
             states.append(state)
-            tau = 4.0 * (states[0].q - state.q) - 0.1 * state.dq
+            tau = 4.0 * (states[0].q + offset_rad - state.q) - 0.1 * state.dq
         driver.write(tau)
     assert until is None, f"{until.__name__} did not happen"
     return states, None
@@ -141,6 +143,45 @@ def test_an_arm_is_brought_up_held_and_let_go(driver: DynamixelDriver, path: Pat
     handler.closePort()
     assert torque == [0] * 7
     assert np.allclose((np.array(ticks) - 2048) * 2 * np.pi / 4096, final, atol=0.01)
+
+
+LEFT = ((4, 100, 2, 60), (3, 100, 2, 0), (1, 84, 2, 0), (1, 112, 4, 3), (7, 80, 2, 0))
+WANTED = (885, 885, 800, 0, 4000)
+
+
+@pytest.mark.fault("S7")
+def test_a_joint_follows_whatever_another_program_has_left_in_the_servos(driver: DynamixelDriver, path: Path) -> None:
+    """Goal PWM of the elbow and of the shadow, gain and profile of the held waist, gain of the gripper."""
+    driver.connect()
+    driver.enable()  # from now on no start changes a mode
+    driver.disable()
+    driver.close()
+    handler, packets = sdk.PortHandler(str(path)), sdk.PacketHandler(2.0)
+    assert handler.setBaudRate(ARM.baud)
+    reads = {2: packets.read2ByteTxRx, 4: packets.read4ByteTxRx}
+    writes = {2: packets.write2ByteTxRx, 4: packets.write4ByteTxRx}
+    for servo_id, address, size, value in LEFT:
+        while answered(reads[size], handler, servo_id, address) != value:
+            writes[size](handler, servo_id, address, value)
+    handler.closePort()
+    events: list[DriverEvent] = []
+    ours = DynamixelDriver(driver.arm, MonotonicClock(), on_event=events.append, scan_s=0.1)
+    ours.connect()
+    ours.enable()
+    told = sorted((e.servo_id, e.text) for e in events if e.kind is EventKind.RAM_WRITTEN)
+    assert told == [
+        (1, "Position P Gain 0 → 800"), (1, "Profile Velocity 3 → 0"), (3, "Goal PWM 0 → 885"),
+        (4, "Goal PWM 60 → 885"), (7, "Position D Gain 0 → 4000"),
+    ]  # fmt: skip
+    states, _ = run(ours, 4 * CYCLES, offset_rad=np.array([0.0, 0.4, 0.0, 0.0]))
+    ours.disable()
+    ours.close()
+    assert states[-1].q[1] - states[0].q[1] == pytest.approx(0.4, abs=0.05)
+    assert max(state.tau[1] for state in states[:CYCLES]) > 0.5  # 60 counts of PWM give 0.28 N·m and no more
+    assert handler.setBaudRate(ARM.baud)
+    found = [answered(reads[size], handler, servo_id, address) for servo_id, address, size, _ in LEFT]
+    handler.closePort()
+    assert tuple(found) == WANTED
 
 
 @pytest.mark.fault("P5")

@@ -241,6 +241,26 @@ def test_a_servo_that_has_switched_itself_off_since_it_was_found_is_told_with_it
     assert [rig.get(i, table.TORQUE_ENABLE) for i in range(1, 8)] == [0] * 7
 
 
+@pytest.mark.parametrize(
+    ("servo_id", "register", "cause"),
+    [(4, table.GOAL_PWM, FaultCause.GOAL_IGNORED), (1, table.POSITION_P_GAIN, FaultCause.NOT_KEPT)],
+)
+def test_a_servo_that_keeps_what_another_program_left_gets_no_torque(
+    servo_id: int, register: Register, cause: FaultCause
+) -> None:
+    rig = enabled()
+    rig.driver.disable()
+    rig.put(servo_id, register, 60)
+    written(rig)
+    memory = rig.servo(servo_id).firmware.memory
+    really = memory.put
+    memory.put = lambda into, value: None if into.name == register.name else really(into, value)
+    with pytest.raises(DxlServoFault, match=f"found {register.name} 60, expected") as caught:
+        rig.driver.enable()
+    assert (caught.value.servo_id, caught.value.cause) == (servo_id, cause)
+    assert (TORQUE, to_all(1)) not in written(rig)
+
+
 def test_of_a_pair_each_servo_has_its_own_limit_of_voltage_again() -> None:
     """What is written to the one that is followed its shadow takes, too, as far as its own limit lets it."""
     rig = build()
@@ -259,7 +279,7 @@ def test_a_joint_that_another_program_starved_of_voltage_follows_its_torque() ->
         rig = enabled()
         if left is not None:
             rig.driver.disable()
-            rig.put(4, table.GOAL_PWM, left)
+            rig.servo(4).firmware.accept(table.GOAL_PWM, left)
             rig.driver.enable()
         found = []
         for _ in range(5):
@@ -271,6 +291,22 @@ def test_a_joint_that_another_program_starved_of_voltage_follows_its_torque() ->
     healthy = torques(None)
     assert max(healthy) > 0.8
     assert torques(60) == pytest.approx(healthy, abs=0.1)
+
+
+@pytest.mark.parametrize(("register", "left"), [(table.POSITION_P_GAIN, 0), (table.GOAL_PWM, 0)])
+def test_a_held_joint_that_another_program_left_weak_stays_where_it_is(register: Register, left: int) -> None:
+    rig = enabled()
+    rig.driver.disable()
+    rig.servo(1).firmware.accept(register, left)
+    waist = next(joint.free for joint in rig.cell.arms[0].joints if joint.name == "waist")
+    waist.q_rad, waist.dq_rad_per_s = 0.1, 0.0
+    rig.driver.enable()
+    waist.gravity_Nm = -5.0  # 0.5 N·m where it stands, and more the further it goes
+    for _ in range(100):
+        rig.driver.write(np.zeros(4))
+        rig.clock.sleep_until(rig.clock.now_ns() + 5_000_000)
+        rig.driver.read()
+    assert waist.q_rad == pytest.approx(0.1, abs=0.05)
 
 
 def test_the_goals_of_a_pair_are_bounded_by_its_weaker_servo() -> None:
