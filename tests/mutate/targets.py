@@ -152,12 +152,15 @@ TARGETS = (
         (f"{UNIT}/process/test_operated.py", f"{UNIT}/process/test_arranged.py"),
     ),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
+    Target("agent.log.lacking", (f"{UNIT}/log/test_lacking.py",)),
+    Target("agent.log.misfits", (f"{UNIT}/log/test_misfits.py",)),
     Target("agent.loop", _STEP),
     Target("agent.missed", _STEP),
     Target("agent.standing", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
     Target("agent.phases", (f"{UNIT}/test_phase_torques.py",)),
+    Target("agent.session_modes", (f"{UNIT}/test_session_modes.py", f"{UNIT}/test_modes.py")),
     Target("agent.runner", _RUNNER, warm=_WARM),
     Target("agent.sight", (f"{UNIT}/test_sight.py",)),
     Target("agent.telling", (f"{UNIT}/test_telling.py",)),
@@ -249,6 +252,9 @@ TARGETS = (
         ),
     ),
     Target("drivers.dynamixel.servo.counts", (f"{UNIT}/drivers/test_dxl_units.py",)),
+    Target(
+        "drivers.dynamixel.servo.kept", (f"{UNIT}/drivers/test_bringup_writes.py", f"{UNIT}/doctor/test_judgement.py")
+    ),
     Target(
         "drivers.dynamixel.servo.models",
         tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_servo_figures", "test_servo_table")),
