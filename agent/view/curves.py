@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from agent.view.motion import Motion
+from agent.view.motion import ArmMotion, Motion
 from agent.view.pose import Array, sizes
 
 POINTS: Final = 400
@@ -31,7 +31,7 @@ def curves_of(motion: Motion) -> list[Curve]:
     first = next(iter(mm))
     error = [("object − desired", mm[first])]
     pairs = list(combinations(motion.arms, 2))
-    apart = [(f"{a} − {b}", 1e3 * _apart(motion.arms[a].belief, motion.arms[b].belief)) for a, b in pairs]
+    apart = [(f"{a} − {b}", 1e3 * _disagreement(motion.arms[a], motion.arms[b])) for a, b in pairs]
     force = [(name, sizes(arm.force_cmd)) for name, arm in motion.arms.items()]
     internal = [(name, sizes(arm.internal)) for name, arm in motion.arms.items()]
     every = [
@@ -61,6 +61,11 @@ def thinned(curve: Curve, points: int = POINTS) -> Curve:
         stretches = zip(starts, [*starts[1:], n], strict=True)
         lines.append((name, np.array([values[a + int(np.argmax(sized[a:b]))] for a, b in stretches])))
     return Curve(curve.title, curve.unit, curve.t[starts], tuple(lines))
+
+
+def _disagreement(one: ArmMotion, other: ArmMotion) -> Array:
+    """Of the instants at which both grasps are closed: an empty gripper sees no object."""
+    return np.where(one.grasps & other.grasps, _apart(one.belief, other.belief), np.nan)
 
 
 def _apart(a: Array, b: Array) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from agent.log.columns import Table
 from agent.log.unshifted import unshifted
 from agent.report.prepared import Prepared
-from agent.report.series import column, grasp_wrenches, internal_wrenches, joint_columns
+from agent.report.series import column, component, grasp_wrenches, internal_wrenches, joint_columns
 from agent.view.pose import Array, poses
 
 PICTURES_HZ: Final = 20.0
@@ -33,6 +33,7 @@ class ArmMotion:
     internal: Array  # (k, 3) N, of the internal wrench there: realised where a simulation tells it, else commanded
     mode: NDArray[np.int64]  # (k,)
     fresh: NDArray[np.bool_]  # (k,) the arm has a row of this instant
+    grasps: NDArray[np.bool_]  # (k,) its grasp is closed, as far as a simulation tells
 
     def at(self, which: NDArray[np.bool_]) -> ArmMotion:
         """At some of the instants."""
@@ -76,9 +77,9 @@ def motion_of(run: Prepared, pictures_hz: float = PICTURES_HZ, begin_s: float = 
         return Motion(t, arms, None)
     at = _latest(run.true.t, t)
     true = poses(run.true.p[at], run.true.quat[at])
-    realised = _realised(run, t)
+    plant = run.grasps.plant[_latest(run.grasps.t, t)]
     numbers = {arm.name: i for i, arm in enumerate(run.info.arms)}
-    arms = {name: replace(arm, internal=realised[:, numbers[name]]) for name, arm in arms.items()}
+    arms = _beside_plant(arms, plant, numbers, len(run.info.arms))
     return Motion(t, arms, true)
 
 
@@ -97,8 +98,7 @@ def motion_now(arms: Mapping[str, NDArray[np.void]], plant: NDArray[np.void] | N
     some = Table.of(plant)
     count = int(plant["arm_count"][0])
     if count == len(own):  # the plant has its arms in the cell's order, as `arms` has
-        internal = internal_wrenches(grasp_wrenches(some, count), column(some, "quat_object"), None)[:, :, :3]
-        own = {name: replace(arm, internal=internal[:, i]) for i, (name, arm) in enumerate(own.items())}
+        own = _beside_plant(own, some, {name: i for i, name in enumerate(own)}, count)
     return Motion(t, own, poses(column(some, "p_object"), column(some, "quat_object")))
 
 
@@ -127,15 +127,23 @@ def _arm(rows: Table, t: Array, half_s: float, joints: int, *, beside_truth: boo
         internal=column(some, "wrench_internal", slice(0, 3)),
         mode=some["mode"].astype(np.int64),
         fresh=np.abs(own[at] - t) <= half_s,
+        grasps=np.ones(len(t), np.bool_),
     )
 
 
-def _realised(run: Prepared, t: Array) -> Array:
-    """Internal force of each arm's grasp, (k, N, 3), as the report works it out."""
-    assert run.grasps is not None
-    plant = run.grasps.plant[_latest(run.grasps.t, t)]
-    wrenches = grasp_wrenches(plant, len(run.info.arms))
-    return internal_wrenches(wrenches, column(plant, "quat_object"), None)[:, :, :3]
+def _beside_plant(
+    arms: Mapping[str, ArmMotion], plant: Table, numbers: Mapping[str, int], count: int
+) -> dict[str, ArmMotion]:
+    """The arms with what k rows of a plant of so many arms tell: internal force as the report has it, closed grasps."""
+    internal = internal_wrenches(grasp_wrenches(plant, count), column(plant, "quat_object"), None)[:, :, :3]
+    return {
+        name: replace(
+            arm,
+            internal=internal[:, numbers[name]],
+            grasps=~np.isnan(component(plant, "contact_error_m", numbers[name])),
+        )
+        for name, arm in arms.items()
+    }
 
 
 def _latest(own: Array, t: Array, ahead_s: float = 1e-9) -> NDArray[np.intp]:

@@ -37,7 +37,7 @@ def motion(*, true: bool) -> Motion:
     rows = np.arange(7.0 * K).reshape(K, 7)
     three = np.zeros((K, 3))
     arms = {
-        name: ArmMotion(three, rows + k, rows, three, three, np.zeros(K, np.int64), np.ones(K, np.bool_))
+        name: ArmMotion(three, rows + k, rows, three, three, np.zeros(K, np.int64), *np.ones((2, K), np.bool_))
         for k, name in enumerate(("left", "right"), 1)
     }
     return Motion(T, arms, rows + 100.0 if true else None)

@@ -555,6 +555,12 @@ def test_arms_disagree_by_the_distance_of_their_beliefs_and_one_arm_with_nobody(
     log.agents["right"]["p_object"] = log.agents["left"]["p_object"] + [3e-3, 0.0, 4e-3]
     (apart,) = [c for c in curves_of(stage(prepare(log), 20.0).motion) if c.unit == "mm" and "disagree" in c.title]
     assert apart.lines[0][1] == pytest.approx(np.full(40, 5.0))
+    assert log.plant is not None
+    log.plant["contact_error_m"][100:, 1] = np.nan
+    (opened,) = [c for c in curves_of(stage(prepare(log), 20.0).motion) if c.unit == "mm" and "disagree" in c.title]
+    assert opened.lines[0][1] == pytest.approx([*[5.0] * 10, *[np.nan] * 30], nan_ok=True), (
+        "empty grippers count no more"
+    )
     del log.agents["right"]
     assert [c.title for c in curves_of(stage(prepare(log), 20.0).motion)] == [
         "position error", "commanded force", "internal force"
