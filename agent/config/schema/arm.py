@@ -119,6 +119,18 @@ class ServoJoint(Servos):
         return any(f is not None for f in (self.breakaway_Nm, self.load_friction, self.breakaway_load_friction))
 
     @model_validator(mode="after")
+    def _load_friction_lets_it_move(self) -> ServoJoint:
+        shares = [f.value for f in (self.load_friction, self.breakaway_load_friction) if f is not None]
+        if sum(shares) >= 1.0:
+            raise wrong(
+                "load_friction",
+                found=f"{sum(shares):g} with breakaway_load_friction",
+                expected="together less than 1: no motor moves a joint whose friction grows as quickly as its torque",
+                remedy="both are in N·m per N·m of the motor: identify them",
+            )
+        return self
+
+    @model_validator(mode="after")
     def _breakaway_falls_off(self) -> ServoJoint:
         extra = self.breakaway_Nm is not None or self.breakaway_load_friction is not None
         if extra and self.stribeck_rad_per_s is None:

@@ -108,6 +108,27 @@ def test_a_cell_that_carries_one_takes_up_another(folder: Path) -> None:
     assert coulomb(load_cell(folder / "more.toml")) == [0.31, 0.4]
 
 
+@pytest.mark.parametrize(("load", "breakaway", "taken"), [(0.5, 0.49, True), (0.5, 0.5, False), (1.0, 0.0, False)])
+def test_friction_that_grows_with_the_load_leaves_a_part_of_it(
+    folder: Path, load: float, breakaway: float, *, taken: bool
+) -> None:
+    """At 1 no motor would move the joint, whatever it gives; the simulated joint knows no such friction either."""
+    says = '{{ value = {}, status = "estimated", source = "our own" }}'.format
+    keys = ("stribeck_rad_per_s", 1.0), ("load_friction", load), ("breakaway_load_friction", breakaway)
+    text = "".join(f"{key} = {says(value)}\n" for key, value in keys)
+    (folder / "arms/left.toml").write_text(
+        ARM.replace("coulomb_Nm = { value = 0.2,", f"{text}coulomb_Nm = {{ value = 0.2,", 1)
+    )
+    if taken:
+        assert load_cell(folder / "cell.toml").arms[0].servos[0].load_friction.value == load
+        return
+    with pytest.raises(
+        ConfigError,
+        match=r"load_friction in arms/left\.toml: found 1 with breakaway_load_friction, expected together less",
+    ):
+        load_cell(folder / "cell.toml")
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [
