@@ -133,13 +133,8 @@ AnyRows = TypeVar("AnyRows", NDArray[np.void], Table)
 
 
 def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows]:
-    rows = {member: _by_sequence(own) for member, own in every.items()}
-    again = {f"the rows of {member}": len(own) - len(rows[member]) for member, own in every.items()}
-    again["the events"] = collected.again
+    rows, strays = _numbered(collected, every)
     problems = collected.problems
-    twice = "are in the log more than once, and count once"
-    problems += [f"{count} of {what} {twice}" for what, count in again.items() if count]
-    strays = _without_strays(rows, collected.layouts, problems)
     run: dict[str, Any] = _described_run(collected)
     recorder: Mapping[str, str] = collected.metadata.get(RECORDER, {})
     config_id = config_id_of(run.get("fingerprint"), recorder)
@@ -181,6 +176,16 @@ def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows
         unjudged=(*foreign, *(text for member, text in gone.items() if not have.get(member))),
         misnumbered=strays,
     )
+
+
+def _numbered(collected: Collected[Any], every: Mapping[str, AnyRows]) -> tuple[dict[str, AnyRows], dict[str, AnyRows]]:
+    """Rows by member and sequence, each once, and those left out for their numbers; its problems are told of both."""
+    rows = {member: _by_sequence(own) for member, own in every.items()}
+    again = {f"the rows of {member}": len(own) - len(rows[member]) for member, own in every.items()}
+    again["the events"] = collected.again
+    twice = "are in the log more than once, and count once"
+    collected.problems += [f"{count} of {what} {twice}" for what, count in again.items() if count]
+    return rows, _without_strays(rows, collected.layouts, collected.problems)
 
 
 def _described_run(collected: Collected[Any]) -> dict[str, Any]:

@@ -253,9 +253,6 @@ TARGETS = (
     ),
     Target("drivers.dynamixel.servo.counts", (f"{UNIT}/drivers/test_dxl_units.py",)),
     Target(
-        "drivers.dynamixel.servo.kept", (f"{UNIT}/drivers/test_bringup_writes.py", f"{UNIT}/doctor/test_judgement.py")
-    ),
-    Target(
         "drivers.dynamixel.servo.models",
         tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_servo_figures", "test_servo_table")),
     ),

@@ -59,6 +59,13 @@ def test_a_lost_servo_is_a_fault_from_everywhere(mode: Mode) -> None:
     assert all(next_in_session(mode, events | Event.SERVO_LOST) is Mode.FAULT for events in ALL_EVENTS)
 
 
+def test_torque_comes_on_at_rest_where_the_driver_is_enabled_and_nothing_is_wrong() -> None:
+    for events in ALL_EVENTS:
+        if Event.SERVO_LOST not in events:
+            on = Event.ENABLED in events and Event.TROUBLE not in events
+            assert next_in_session(Mode.OFF, events) is (Mode.REST if on else Mode.OFF)
+
+
 @pytest.mark.parametrize("mode", [m for m in SESSION if m not in (Mode.REST, Mode.HALT)])
 @pytest.mark.parametrize("bad", [Event.STOP, Event.TROUBLE])
 def test_a_stop_holds_what_is_gripped_and_halts_what_is_free_whatever_else_is_said(mode: Mode, bad: Event) -> None:
