@@ -42,8 +42,9 @@ def new(
     arm: Annotated[
         list[str],
         typer.Option(
-            help='Words apart by spaces, as "wx250s face=-x": MODEL, face=-x|+x|+y|-y, down=DEG below the level, '
-            "inset=M over the face, base=X,Y,Z,YAW_DEG, pose=X,Y,Z,QW,QX,QY,QZ of the hand in object axes, share=PART, "
+            help='Words apart by spaces, as "wx250s face=-x": MODEL, or an arm file of its own (.toml), '
+            "face=-x|+x|+y|-y, down=DEG below the level, inset=M over the face, "
+            "base=X,Y,Z,YAW_DEG, pose=X,Y,Z,QW,QX,QY,QZ of the hand in object axes, share=PART, "
             "name=NAME as wanted. One option per arm.",
             show_default=False,
             autocompletion=complete.arm_models,
@@ -160,7 +161,7 @@ def _wish(
     sides, moments = vector(size, "--size"), None if inertia is None else vector(inertia, "--inertia")
     thing = ObjectWish(mass, sides, ShapeKind(shape.value), moments)
     thing.require_possible()
-    return Wish(called, arm_wishes(arms), thing, motion, height, rate)
+    return Wish(called, arm_wishes(arms), thing, motion, height, rate, cell.parent)
 
 
 def _document(made: Made, path: Path) -> dict[str, object]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import tomli_w
 
@@ -16,21 +16,29 @@ from agent.config.tables import tables
 from agent.config.trajectory import text_of_file
 from agent.config.urdf import urdf_beside
 
+_TABLE: Final = "embedded"
+
 
 def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:
     """The cell's bytes with the files it names appended as a table `embedded`; those that it already carries stay.
 
     Raises TrajectoryError and ConfigError for files that cannot be read.
     """
-    carried = document.get("embedded", {})
+    carried = document.get(_TABLE, {})
     if not isinstance(carried, dict):
         return raw
     found = dict(_texts(document, cell_path, carried))
     if not found:
         return raw
     if carried:
-        return tomli_w.dumps({**document, "embedded": carried | found}, multiline_strings=True).encode()
-    return raw.rstrip(b"\n") + b"\n\n" + tomli_w.dumps({"embedded": found}, multiline_strings=True).encode()
+        return tomli_w.dumps({**document, _TABLE: carried | found}, multiline_strings=True).encode()
+    return raw.rstrip(b"\n") + b"\n\n" + tomli_w.dumps({_TABLE: found}, multiline_strings=True).encode()
+
+
+def without_files(text: str) -> str:
+    """The cell's text without the files that `embed` appended to it; they are found beside the cell file again."""
+    before, table, _ = text.partition(f"\n\n[{_TABLE}]\n")
+    return f"{before}\n" if table else text
 
 
 def _texts(document: Mapping[str, Any], cell_path: Path, carried: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -199,7 +199,8 @@ def _arm(entry: ArmEntry, embedded: Mapping[str, str], source: str, arms_dir: Pa
     else:
         arm_file, arm_bytes = _own_arm_file(entry, entry.arm_file, embedded, source)
         own = embedded.get(urdf_beside(entry.arm_file, arm_file.urdf))
-    urdf = read_file(arms_dir / arm_file.urdf) if own is None else own.encode()
+    beside = "" if entry.arm_file is None else f"no such URDF ships: put it beside {entry.arm_file}"
+    urdf = read_file(arms_dir / arm_file.urdf, beside) if own is None else own.encode()
     urdf_xml = text_of_urdf(urdf, arm_file.urdf)
     by_name = {j.name: j for j in arm_file.joints}
     unknown = [j for j in (*entry.controlled, *entry.locked_rad) if j not in by_name]
@@ -249,7 +250,7 @@ def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> t
 
 def load_own_arm_file(path: Path) -> ArmFile:
     """An arm file of one's own.  Raises ConfigError."""
-    return _arm_file(read_file(path), path.name)
+    return _arm_file(read_file(path, "give the path of an arm file; those that ship go by their model"), path.name)
 
 
 @lru_cache(maxsize=8)  # arms of one kind

@@ -78,8 +78,8 @@ def refuse_all(problems: Sequence[ConfigError]) -> None:
         raise problems[0]
 
 
-def read_file(path: Path) -> bytes:
-    """Bytes of a file of text.  Raises ConfigError."""
+def read_file(path: Path, remedy: str = "") -> bytes:
+    """Bytes of a file of text; remedy: of one that is not there, if it is no cell file.  Raises ConfigError."""
     try:
         named_file.size_of(path)
         _refuse_no_text(path)  # before its size: a log is named as one
@@ -90,7 +90,7 @@ def read_file(path: Path) -> bytes:
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise ConfigError(
             f"file {shown(str(path))}", found=reason, expected="a readable file",
-            remedy="cells that ship go by name: " + ", ".join(shipped_cells()),
+            remedy=remedy or "cells that ship go by name: " + ", ".join(shipped_cells()),
         ) from error  # fmt: skip
 
 

@@ -10,6 +10,9 @@ from typing import Final
 import numpy as np
 
 from agent.config.cell import Cell, cell_from_toml, load_arm_file, placement
+from agent.config.embed import embed, without_files
+from agent.config.files import load_own_arm_file
+from agent.config.tables import tables
 from agent.make.place import HEIGHTS_M, RADII_M, Bend, base, bends, grasp
 from agent.make.wish import ArmWish, MotionKind, Wish, WishError
 from agent.make.write import Placed, cell_text, duration_s
@@ -59,7 +62,12 @@ class Maker:
 
     def __init__(self, wish: Wish, tell: Callable[[str], None] = lambda _: None) -> None:
         self._wish, self._tell = wish, tell
-        files = [load_arm_file(arm.model, f"model of arm {arm.name}")[0] for arm in wish.arms]
+        files = [
+            load_arm_file(arm.model, f"model of arm {arm.name}")[0]
+            if arm.arm_file is None
+            else load_own_arm_file(arm.arm_file)
+            for arm in wish.arms
+        ]
         joints = [[j.name for j in file.joints if SERVOS[j.servo].modes] for file in files]
         self._spatial = all(len(names) >= SPATIAL_JOINTS for names in joints)
         self._joints = [tuple(names) if self._spatial else IN_PLANE for names in joints]
@@ -85,9 +93,9 @@ class Maker:
                 raise WishError(
                     "gains for this cell", found=error.found, expected=error.expected, remedy=error.remedy
                 ) from error
-            cell = cell_from_toml(text.encode(), f"{self._wish.name}.toml")
+            cell = self._loaded(text)
             report = self._examined(cell, gains_stay=True)
-        return Made(text, cell, replace(report, findings=(*report.findings, *not_gripped(cell))), tune)
+        return Made(without_files(text), cell, replace(report, findings=(*report.findings, *not_gripped(cell))), tune)
 
     def _examined(self, cell: Cell, *, gains_stay: bool) -> CheckReport:
         """What the check says.  Raises WishError with its first refusal, one that gains may mend if they stay."""
@@ -161,7 +169,12 @@ class Maker:
             controlled, locked = self._joints[i], self._locked[i]
             arms.append(Placed(wish, controlled, locked, stands, self._grasps[i], q, self._shares[i]))
         text = cell_text(self._wish, height, arms, spatial=self._spatial)
-        return text, cell_from_toml(text.encode(), f"{self._wish.name}.toml")
+        return text, self._loaded(text)
+
+    def _loaded(self, text: str) -> Cell:
+        """The cell of this text, with the files that it names in it."""
+        path, raw = self._wish.folder / f"{self._wish.name}.toml", text.encode()
+        return cell_from_toml(embed(raw, tables(text), path), path.name)
 
     def _refuse_out_of_plane(self) -> None:
         if self._spatial:

@@ -7,9 +7,11 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import configs
+from agent.config.files import load_own_arm_file
 from agent.config.reading import ConfigError, shown
 from agent.config.schema.types import IN_WORDS, LENGTHS_M, MASSES_KG, MOMENTS_KG_M2, NAME_PATTERN, nearest
 
@@ -18,6 +20,7 @@ FACES: Final[dict[str, Vec3]] = {  # outward normals, object axes; the names of 
     "-x": (-1.0, 0.0, 0.0), "+x": (1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0),
 }  # fmt: skip
 NAMES: Final = {"-x": "left", "+x": "right", "+y": "back", "-y": "front"}
+FILE: Final = ".toml"  # ends the path of an arm file
 WORDS: Final = ("face", "down", "base", "pose", "share", "name", "inset")
 DOWN_SPATIAL_DEG: Final = 60.0  # of six joints: the hand reaches the side from above; arms in a plane hold level
 QUATERNION_OFF: Final = 1e-2  # a norm this far from 1 is no rounding
@@ -57,6 +60,7 @@ class ArmWish:
     base: tuple[float, float, float, float] | None = None  # x, y, z in m, yaw in degrees; None: to be proposed
     pose: tuple[float, ...] | None = None  # p and quat of the end effector, object axes, in place of face
     share: float | None = None
+    arm_file: Path | None = None  # of this arm's own figures; None: the one of its model that ships
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +116,14 @@ class Wish:
     motion: MotionWish
     height_m: float | None = None  # of the object's centre at the start, above the table; None: to be proposed
     rate_hz: float = 200.0
+    folder: Path = Path()  # where the cell file is to stand
 
 
 def arm_wishes(texts: Sequence[str]) -> tuple[ArmWish, ...]:
-    """Of "MODEL [WORD=VALUE]..." each; faces and names that are not given are dealt out.  Raises WishError."""
+    """Of "MODEL [WORD=VALUE]..." each; faces and names that are not given are dealt out.
+
+    An arm file may stand in place of its model.  Raises WishError, and ConfigError for a file that is none.
+    """
     if not 1 <= len(texts) <= len(FACES):
         raise WishError("arms", found=len(texts), expected=f"1 to {len(FACES)}", remedy="give --arm MODEL for each")
     parsed = [_words(text) for text in texts]
@@ -133,10 +141,10 @@ def arm_wishes(texts: Sequence[str]) -> tuple[ArmWish, ...]:
 def _words(text: str) -> tuple[str, dict[str, str]]:
     model, *rest = text.split() or [""]
     described = sorted(path.stem for path in configs.ARMS_DIR.glob("*.toml"))
-    if model not in described:
-        first = 'name a described arm first, and put words apart by spaces: --arm "wx250s face=-x"'
+    if model not in described and not model.endswith(FILE):
+        first = 'name a described arm, or its file, first, and put words apart by spaces: --arm "wx250s face=-x"'
         raise WishError(
-            f"arm {shown(text)}", found=f"a model {model!r}", expected=" or ".join(described),
+            f"arm {shown(text)}", found=f"a model {model!r}", expected=f"{', '.join(described)} or an arm file (.toml)",
             remedy=first if "=" in model else nearest(model, described) or first,
         )  # fmt: skip
     words: dict[str, str] = {}
@@ -155,8 +163,9 @@ def _words(text: str) -> tuple[str, dict[str, str]]:
     return model, words
 
 
-def _arm(model: str, words: dict[str, str], face: str) -> ArmWish:
-    what = f"arm {model}"
+def _arm(named: str, words: dict[str, str], face: str) -> ArmWish:
+    what, file = f"arm {named}", Path(named) if named.endswith(FILE) else None
+    model = named if file is None else load_own_arm_file(file).model
     if face not in FACES:
         raise WishError(
             f"face of {what}", found=face, expected=" or ".join(FACES), remedy="name a side, or give pose=..."
@@ -175,7 +184,7 @@ def _arm(model: str, words: dict[str, str], face: str) -> ArmWish:
     called = name(words.get("name", NAMES[face]), f"name of {what}", "give name=... in such letters")
     return ArmWish(
         called, model, face, down, INSET_M if inset is None else inset,
-        None if x is None else (x[0], x[1], x[2], x[3]), p, share,
+        None if x is None else (x[0], x[1], x[2], x[3]), p, share, file,
     )  # fmt: skip
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import pinocchio as pin
@@ -48,7 +51,7 @@ def cell_text(wish: Wish, height_m: float, arms: Sequence[Placed], *, spatial: b
     gains = SPATIAL if spatial else PLANAR
     parts = [*_head(wish, height_m, spatial), *_control(wish, gains)]
     for mark, arm in enumerate(arms, start=1):
-        parts += _arm(arm, gains, mark)
+        parts += _arm(arm, gains, mark, wish.folder)
     return "\n".join(parts) + "\n"
 
 
@@ -109,10 +112,13 @@ def _control(wish: Wish, gains: UsualGains) -> Iterator[str]:
     yield f"\n[report]\ntransient_s = {transient!r}\nmax_position_error_m = 1e-3\nmax_attitude_error_rad = 3e-3"
 
 
-def _arm(arm: Placed, gains: UsualGains, mark: int) -> Iterator[str]:
+def _arm(arm: Placed, gains: UsualGains, mark: int, folder: Path) -> Iterator[str]:
     wish, (x, y, z, yaw) = arm.wish, arm.base
     down = "" if wish.pose is not None else f", face {wish.face}"
     yield f'\n[[arms]]\nname = "{wish.name}"\nmodel = "{wish.model}"'
+    if wish.arm_file is not None:
+        beside = Path(os.path.relpath(wish.arm_file, folder)).as_posix()
+        yield f"arm_file = {json.dumps(beside, ensure_ascii=False)}"
     yield "# " + ("proposed; measure it where the arm stands" if wish.base is None else "as given")
     turned = pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, math.radians(yaw)))
     yield f"p_world_base_m = {_list((x, y, z))}\nquat_world_base = {_quat(turned)}"

@@ -8,11 +8,13 @@ import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import configs
 from agent.cli.main import dispatch
 from agent.config.cell import ConfigError, cell_from_toml, load_cell
 from agent.make.make import Made, Maker
@@ -147,7 +149,7 @@ def test_what_cannot_be_met_is_named(which: Wish, match: str) -> None:
         ([], "arms: found 0"),
         (["wx200"] * 5, "arms: found 5"),
         (["wx2000"], "did you mean wx200"),
-        (["face=-x wx200"], "a model 'face=-x'.* name a described arm first"),
+        (["face=-x wx200"], "a model 'face=-x'.* name a described arm, or its file, first"),
         (["wx250s,face=-x"], 'by spaces: --arm "wx250s face=-x"'),
         (["wx200 fac=-x"], "did you mean face"),
         (["wx200 face=up"], "face of arm wx200: found up"),
@@ -165,6 +167,46 @@ def test_what_cannot_be_met_is_named(which: Wish, match: str) -> None:
 def test_words_that_say_nothing_are_refused(texts: list[str], match: str) -> None:
     with pytest.raises(WishError, match=match):
         arm_wishes(texts)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """The file of an arm that does not ship, in a folder beside that of the cells, and its URDF."""
+    (tmp_path / "arms").mkdir()
+    (tmp_path / "cells").mkdir()
+    for file in ("wx200.toml", "wx200.urdf"):
+        text = (configs.ARMS_DIR / file).read_text().replace("wx200", "ours")
+        text = text.replace("coulomb_Nm = { value = 0.2,", "coulomb_Nm = { value = 0.25,")
+        (tmp_path / "arms" / file.replace("wx200", "ours")).write_text(text)
+    return tmp_path / "arms" / "ours.toml"
+
+
+@pytest.mark.parametrize("tune", [False, True])
+def test_an_arm_file_stands_in_place_of_a_model_and_the_cell_names_it_as_it_is_found_from_there(
+    unhurried: None, own: Path, monkeypatch: pytest.MonkeyPatch, *, tune: bool
+) -> None:
+    """Its text is not in the cell file, so that what is changed in it later counts."""
+    monkeypatch.setattr(Tuner, "propose", lambda self, *_: SimpleNamespace(toml=self.cell.toml.decode))
+    cells = own.parent.parent / "cells"
+    monkeypatch.chdir(own.parent.parent)
+    wanted = replace(wish(["arms/ours.toml", "wx200"], 0.1, (0.2, 0.03, 0.03), height=0.2), folder=Path("cells"))
+    found = Maker(wanted).make(tune=tune)
+    (cells / "mine.toml").write_text(found.text)
+    assert "embedded" not in found.text
+    cell = load_cell(cells / "mine.toml")
+    assert [(arm.entry.model, arm.entry.arm_file) for arm in cell.arms] == [
+        ("ours", "../arms/ours.toml"), ("wx200", None),
+    ]  # fmt: skip
+    assert [arm.servos[0].coulomb_Nm.value for arm in cell.arms] == [0.25, 0.2]
+    assert cell.fingerprint == found.cell.fingerprint
+
+
+def test_an_arm_file_that_is_none_or_lacks_its_urdf_is_refused_with_what_to_do(own: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: found No such file.* give the path of an arm file"):
+        arm_wishes([f"{own.parent}/none.toml"])
+    own.with_suffix(".urdf").unlink()
+    with pytest.raises(ConfigError, match=r"ours\.urdf: found No such file.* put it beside .*arms/ours\.toml"):
+        Maker(wish([str(own)], 0.1, (0.2, 0.03, 0.03), height=0.2)).make(tune=False)
 
 
 def test_faces_and_names_are_dealt_out() -> None:
