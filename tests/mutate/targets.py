@@ -268,7 +268,7 @@ TARGETS = (
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.gears", (f"{UNIT}/sim_backend/test_gears.py",)),
-    Target("sim_backend.physics.openings", _SOFT),
+    Target("sim_backend.physics.openings", (f"{UNIT}/sim_backend/test_slipped.py", *_SOFT)),
     Target("sim_backend.physics.pads", _SOFT),
     Target("sim_backend.physics.reality", (f"{UNIT}/sim_backend/test_reality.py",)),
 )
