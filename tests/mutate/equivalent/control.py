@@ -74,6 +74,8 @@ _ALMOST_ZERO = "normal = np.where(np.abs(normal) < 1e-09, 0.0, normal)"
 _LARGEST = "if normal[np.argmax(np.abs(normal))] < 0.0:"
 _ARRAYS = "_arrays: tuple[Matrix, ...] = field(init=False, repr=False, compare=False)"
 _RANK = "if not sigma[-1] > SINGULAR * sigma[0]:"
+_SHIFTED = "shifted: list[bool] = np.any(np.abs(slipped) > LEAST_SLIP, axis=1).tolist()"
+_ROUNDING = "what slips does so by far more than rounding"
 
 CONTROL: Entries = {
     "sim_backend.physics.calendar": {
@@ -89,6 +91,10 @@ CONTROL: Entries = {
             "for _ in range(len(dq) + 1):",
             "for _ in range(len(dq) + 2):",
         ): "no more rounds than teeth and one",
+    },
+    "sim_backend.physics.openings": {
+        ("", "LEAST_SLIP: Final = 1e-12", "LEAST_SLIP: Final = 2e-12"): _ROUNDING,
+        ("Openings.measure", _SHIFTED, _SHIFTED.replace(">", ">=")): _ROUNDING,
     },
     "agent.control.adaptive": {
         ("torque", _TASK, _TASK.replace("len(P) == 6", "False")): _IDENTITY,

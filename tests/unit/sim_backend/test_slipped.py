@@ -207,6 +207,18 @@ def test_without_slip_a_pad_pulls_at_the_grasp_to_the_bit() -> None:
     assert np.array_equal(openings.wrenches(pulls.copy()), pulls)
 
 
+def test_a_grasp_that_is_open_touches_nothing_whatever_had_slipped_in_it() -> None:
+    plant = slipped_cell()
+    arms = FreeArms(plant.spec)
+    arms.terms(plant.q, plant.dq)
+    openings = Openings(arms, [arm.T_object_ee for arm in plant.spec.arms], plant.joint_count)
+    closed, slipped = np.array([[1.0], [0.0]]), np.full((2, 6), 1e-3)
+    openings.keep(closed)
+    openings.measure(plant.T_world_object, closed, slipped)
+    assert [openings.touches(i) for i in range(2)] == [True, False]
+    assert not openings.G[6:].any()
+
+
 def test_bounds_that_are_not_reached_change_no_bit() -> None:
     free, bounded = (
         soft(spatial_cell(2), replace(GraspSpec(1e4, 50.0), **bounds))
