@@ -152,6 +152,13 @@ def test_an_older_log_that_does_not_say_who_took_part_is_to_have_all_arms_of_its
     assert alone["taking_part"] == ["left"], "a post-mortem"
 
 
+@pytest.mark.parametrize(("count", "lost"), [("0", 0), ("²", 0), ("9" * 19, int("9" * 19)), ("9" * 20, 0)])
+def test_of_an_arm_that_was_told_of_only_the_rows_that_were_recorded_are_missed(count: str, lost: int) -> None:
+    """A count that is none, or longer than a sequence can be, says nothing."""
+    said = f"{lost} of the {lost} rows of left that were recorded are not in it"
+    assert lacking({"left.rows_recorded": count}, {"left": 0}, {}, []) == ({"left": said} if lost else {})
+
+
 def test_numbers_that_are_left_out_are_missed_where_nobody_counted(tmp_path: Path) -> None:
     assert lacking({"complete": "true"}, {"left": 50}, {"left": 10}, []) == {"left": "10 rows of left are not in it"}
 
