@@ -153,7 +153,6 @@ TARGETS = (
     ),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.log.lacking", (f"{UNIT}/log/test_lacking.py", f"{UNIT}/process/test_listening.py")),
-    Target("agent.log.misfits", (f"{UNIT}/log/test_misfits.py",)),
     Target("agent.loop", _STEP),
     Target("agent.missed", _STEP),
     Target("agent.standing", _STEP),

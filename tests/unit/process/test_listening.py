@@ -71,6 +71,7 @@ def test_telemetry_says_what_is_missing_and_ends_with_1_where_no_run_reports_it(
     [
         (of("left") | of("plant", rows_expected=0, rows_recorded=0, end="open"), "no row of plant came"),
         (of("left", end="open"), "left had not ended"),
+        (of("left", rows_recorded=8), "8 of 9 rows of left"),
         (
             of("left", rows_recorded=2, lost_in_ring=3, lost_on_disk=4)
             | of("right", rows_recorded=8, lost_on_the_way=1),
