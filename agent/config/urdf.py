@@ -6,7 +6,6 @@ Weights that are missing would be missing in the torque that carries the arm, so
 from __future__ import annotations
 
 import posixpath
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from functools import lru_cache
@@ -15,11 +14,11 @@ from typing import Final
 import numpy as np
 
 from agent.config.reading import ConfigError, shown
+from agent.config.urdf_joints import NUMBER, refuse_macros, refuse_odd_joints
 from agent.config.urdf_tree import refuse_no_tree
 
 LARGEST: Final = 100.0  # kg, kg·m², m and rad, as in a cell file
 ROUNDED: Final = 0.01  # by which moments of few digits may be off those of a body
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 _TRIPLES = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -31,7 +30,7 @@ def urdf_beside(arm_file: str, urdf: str) -> str:
 
 @lru_cache(maxsize=8)  # arms of one kind
 def text_of_urdf(raw: bytes, name: str) -> str:
-    """The text of a URDF whose numbers can all be read, whose links are bodies, and whose joints make them a tree.
+    """The text of a URDF whose numbers can all be read, whose links are bodies, and whose joints move and make a tree.
 
     Raises ConfigError naming file and element.
     """
@@ -45,9 +44,7 @@ def text_of_urdf(raw: bytes, name: str) -> str:
     for where, attribute, written, a_weight in _numbers(robot):
         words = written.split() if written is not None else []
         count, least = 3 if attribute in {"xyz", "rpy"} else 1, 0.0 if a_weight else -LARGEST
-        if len(words) != count or not all(
-            _NUMBER.fullmatch(word) and least <= float(word) <= LARGEST for word in words
-        ):
+        if len(words) != count or not all(NUMBER.fullmatch(word) and least <= float(word) <= LARGEST for word in words):
             raise ConfigError(
                 f"{attribute} of {shown(where)} in {name}",
                 found="nothing" if written is None else shown(repr(written)),
@@ -57,7 +54,9 @@ def text_of_urdf(raw: bytes, name: str) -> str:
             )
     for link in robot.iter("link"):
         _refuse_impossible(link, name)
+    refuse_macros(robot, name)
     refuse_no_tree(robot, name)
+    refuse_odd_joints(robot, name)
     return text
 
 

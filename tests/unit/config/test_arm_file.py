@@ -155,6 +155,52 @@ def test_a_urdf_with_a_number_that_cannot_be_read_is_refused(tmp_path: Path, urd
         loaded(tmp_path, urdf=urdf)
 
 
+def with_joint(joint: str, old: str, new: str) -> str:
+    """The URDF with the first such text behind the name of this joint replaced."""
+    begin = URDF.index(f'<joint name="{joint}"')
+    assert re.search(old, URDF[begin:])
+    return URDF[:begin] + re.sub(old, new, URDF[begin:], count=1)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "message"),
+    [
+        (
+            with_joint("elbow", '<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>'),
+            "axis of joint elbow in wx200.urdf: found 0 0",
+        ),
+        (with_joint("waist", '<axis xyz="0 0 1"/>', '<axis xyz="0 0 1.002"/>'), "axis of joint waist .*of length 1"),
+        (with_joint("elbow", "<limit [^>]*/>", ""), "limit lower of joint elbow in wx200.urdf: found nothing"),
+        (with_joint("elbow", 'velocity="', 'speed="'), "limit velocity of joint elbow in wx200.urdf: found nothing"),
+        (with_joint("elbow", 'effort="[^"]*"', 'effort="much"'), "limit effort of joint elbow .*: found 'much'"),
+        (with_joint("waist", 'lower="[^"]*"', 'lower="3.2"'), "limits of joint waist .*: found 3.2 to 3.14.*exchange"),
+        (with_joint("waist", 'lower="[^"]*"', 'lower="-180"'), "limits of joint waist .*: found -180 to .*in rad"),
+        (
+            with_joint("waist", 'upper="[^"]*"', 'upper="6.3"'),
+            "limits of joint waist .*: found -3.14158 to 6.3, .*turn",
+        ),
+        (
+            URDF.replace("</robot>", '<x:arm xmlns:x="http://www.ros.org/wiki/xacro"/></robot>'),
+            r"wx200.urdf: found elements of xacro: arm, .*expand it: `xacro ",
+        ),
+    ],
+)
+def test_a_joint_that_cannot_move_as_it_says_is_refused_by_name(tmp_path: Path, urdf: str, message: str) -> None:
+    """Degrees would leave the joint without a limit, and a parser of URDF leaves macros out."""
+    with pytest.raises(ConfigError, match=message):
+        loaded(tmp_path, urdf=urdf)
+
+
+def test_joints_of_a_turn_and_axes_of_few_digits_are_taken(tmp_path: Path) -> None:
+    assert loaded(tmp_path, urdf=with_joint("waist", 'upper="[^"]*"', 'upper="6.28"')).arms
+    assert loaded(tmp_path / "b", urdf=with_joint("waist", '<axis xyz="0 0 1"/>', '<axis xyz="0 0.01 0.9999"/>')).arms
+    fingers = URDF.replace('name="left_finger" type="fixed"', 'name="left_finger" type="prismatic"')
+    assert fingers != URDF
+    limits = '<limit lower="0.0" upper="0.03" effort="1" velocity="1"/><origin'
+    begin = fingers.index('name="left_finger" type')
+    assert loaded(tmp_path / "c", urdf=fingers[:begin] + fingers[begin:].replace("<origin", limits, 1)).arms
+
+
 def with_inertia(xx: float, yy: float, zz: float, xy: float = 0.0, xz: float = 0.0, yz: float = 0.0) -> str:
     """The URDF with this inertia of its first link, kg·m²."""
     tensor = f'<inertia ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/>'
@@ -190,6 +236,10 @@ def test_a_thin_or_rounded_link_is_a_body(tmp_path: Path, urdf: str) -> None:
     ("urdf", "message"),
     [
         (URDF.replace('type="revolute"', 'type="continuous"', 1), "joints of the URDF, arm left .*found waist"),
+        (
+            with_joint("shoulder", 'type="revolute"', 'type="prismatic"'),
+            "controlled joints of the URDF, arm left .*found shoulder, which slides",
+        ),
         (
             URDF.replace('name="waist"', 'name="waste"'),
             "joint names, arm left .*found waist.*names among waste, shoulder",
