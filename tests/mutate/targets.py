@@ -86,6 +86,7 @@ TARGETS = (
         (f"{UNIT}/config/test_noticing.py", *(f"{UNIT}/control/{name}.py" for name in _SENSES)),
     ),
     Target("agent.config.statics", (f"{UNIT}/monitors/test_bounds.py",)),
+    Target("agent.config.urdf_joints", (f"{UNIT}/config/test_arm_file.py",)),
     Target(
         "agent.control.adaptation",
         (
