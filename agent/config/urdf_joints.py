@@ -34,16 +34,17 @@ def refuse_odd_joints(robot: ET.Element, name: str) -> None:
 
 
 def _refuse_limits(joint: ET.Element, where: str, name: str, *, turns: bool) -> None:
-    limit = joint.find("limit")
-    given = [None if limit is None else limit.get(key) for key in _LIMITS]
-    for key, text in zip(_LIMITS, given, strict=True):
+    limit, numbers = joint.find("limit"), list[float]()
+    for key in _LIMITS:
+        text = None if limit is None else limit.get(key)
         if text is None or not NUMBER.fullmatch(text):
             raise ConfigError(
                 f"limit {key} of {where} in {name}", found="nothing" if text is None else shown(repr(text)),
                 expected='a number in <limit lower="" upper="" effort="" velocity="">',
                 remedy="give it, in rad, N·m and rad/s" if turns else "give it, in m, N and m/s",
             )  # fmt: skip
-    lower, upper = (float(text or "") for text in given[:2])
+        numbers.append(float(text))
+    lower, upper, _, _ = numbers
     if not lower < upper:
         raise ConfigError(
             f"limits of {where} in {name}", found=f"{lower:g} to {upper:g}", expected="the lower one first",

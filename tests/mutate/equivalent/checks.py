@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tests.mutate.equivalent.entries import Entries
 
+_LENGTH = "if abs(math.hypot(*map(float, words)) - 1.0) > _ROUNDED:"
 _NORM = "norm = np.abs(A).sum(axis=-2).max(axis=-1, initial=1.0)"
 _ONE = "A, B, one = (A / parts, B / parts, np.eye(A.shape[-1]))"
 _FLAT = "flat = A.reshape(len(A), -1)"
@@ -161,6 +162,9 @@ CHECKS: Entries = {
         ("below", _ON, _ON.replace("1.0", "2.0")): _NOTHING_MORE,
         ("below", "if not on.all():", "if True:"): "saves the copying of what is not thinned out",
         ("_norm", _FLAT, _FLAT.replace("-1", "-2")): "numpy takes any number below zero",
+    },
+    "agent.config.urdf_joints": {
+        ("refuse_odd_joints", _LENGTH, _LENGTH.replace(">", ">=")): "no length is off by just so much",
     },
     "agent.verify.disagreement": {
         ("_at", _LEFT, _LEFT.replace("-S_i", "S_i")): _NO_SIGN,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from pathlib import Path
@@ -169,11 +170,19 @@ def with_joint(joint: str, old: str, new: str) -> str:
             with_joint("elbow", '<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>'),
             "axis of joint elbow in wx200.urdf: found 0 0",
         ),
-        (with_joint("waist", '<axis xyz="0 0 1"/>', '<axis xyz="0 0 1.002"/>'), "axis of joint waist .*of length 1"),
-        (with_joint("elbow", "<limit [^>]*/>", ""), "limit lower of joint elbow in wx200.urdf: found nothing"),
+        (with_joint("waist", '<axis xyz="0 0 1"/>', '<axis xyz="0 0 1.0015"/>'), "axis of joint waist .*of length 1"),
+        (with_joint("elbow", "<limit [^>]*/>", ""), "limit lower of joint elbow in wx200.urdf: found nothing.*rad/s"),
         (with_joint("elbow", 'velocity="', 'speed="'), "limit velocity of joint elbow in wx200.urdf: found nothing"),
         (with_joint("elbow", 'effort="[^"]*"', 'effort="much"'), "limit effort of joint elbow .*: found 'much'"),
         (with_joint("waist", 'lower="[^"]*"', 'lower="3.2"'), "limits of joint waist .*: found 3.2 to 3.14.*exchange"),
+        (
+            with_joint("waist", 'lower="[^"]*"', 'lower="3.141583"'),
+            "limits of joint waist .*: found 3.14158 to 3.14158",
+        ),
+        (
+            with_joint("left_finger", "fixed", "prismatic"),
+            "limit lower of joint left_finger .*found nothing, .*N and m/s",
+        ),
         (with_joint("waist", 'lower="[^"]*"', 'lower="-180"'), "limits of joint waist .*: found -180 to .*in rad"),
         (
             with_joint("waist", 'upper="[^"]*"', 'upper="6.3"'),
@@ -192,13 +201,16 @@ def test_a_joint_that_cannot_move_as_it_says_is_refused_by_name(tmp_path: Path, 
 
 
 def test_joints_of_a_turn_and_axes_of_few_digits_are_taken(tmp_path: Path) -> None:
-    assert loaded(tmp_path, urdf=with_joint("waist", 'upper="[^"]*"', 'upper="6.28"')).arms
+    turn = f'upper="{2.0 * math.pi!r}"'
+    assert loaded(tmp_path, urdf=with_joint("waist", 'upper="[^"]*"', turn)).arms
     assert loaded(tmp_path / "b", urdf=with_joint("waist", '<axis xyz="0 0 1"/>', '<axis xyz="0 0.01 0.9999"/>')).arms
-    fingers = URDF.replace('name="left_finger" type="fixed"', 'name="left_finger" type="prismatic"')
-    assert fingers != URDF
-    limits = '<limit lower="0.0" upper="0.03" effort="1" velocity="1"/><origin'
-    begin = fingers.index('name="left_finger" type')
-    assert loaded(tmp_path / "c", urdf=fingers[:begin] + fingers[begin:].replace("<origin", limits, 1)).arms
+
+
+@pytest.mark.parametrize(
+    "more", ['prismatic"><limit lower="0" upper="7" effort="1" velocity="1"/', 'fixed"><axis xyz="0 0 0"/']
+)
+def test_what_is_no_joint_that_turns_is_asked_for_what_it_needs_alone(tmp_path: Path, more: str) -> None:
+    assert loaded(tmp_path, urdf=with_joint("left_finger", 'fixed"', more)).arms
 
 
 def with_inertia(xx: float, yy: float, zz: float, xy: float = 0.0, xz: float = 0.0, yz: float = 0.0) -> str:
@@ -236,6 +248,10 @@ def test_a_thin_or_rounded_link_is_a_body(tmp_path: Path, urdf: str) -> None:
     ("urdf", "message"),
     [
         (URDF.replace('type="revolute"', 'type="continuous"', 1), "joints of the URDF, arm left .*found waist"),
+        (
+            with_joint("waist", 'type="revolute"', 'type="continuous"').replace("<limit", "<soft", 1),
+            "joints of the URDF, arm left .*found waist",
+        ),
         (
             with_joint("shoulder", 'type="revolute"', 'type="prismatic"'),
             "controlled joints of the URDF, arm left .*found shoulder, which slides",
