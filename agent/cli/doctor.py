@@ -9,7 +9,7 @@ import typer
 
 from agent.cli.options import AsJson, CellPath, Overrides, SomeArms, confirmed, print_json
 from agent.cli.progress import Steps
-from agent.host.starting import end_at_ctrl_z
+from agent.host.stops import hear_ctrl_z
 
 
 def doctor(
@@ -30,7 +30,7 @@ def doctor(
     with Steps(lines=True) as step:
         diagnosis = diagnose(described, options, step)
     if move:
-        end_at_ctrl_z()
+        hear_ctrl_z()
         move_arm(described, options, confirmed, diagnosis)
     if as_json:
         print_json(diagnosis.document())

@@ -31,7 +31,8 @@ from agent.cli import (
 )
 from agent.cli.help import Commands
 from agent.cli.where import where
-from agent.host.starting import USAGE, end, hear_stops, of_host, outlive_readers, settle
+from agent.host import stops
+from agent.host.starting import USAGE, end, of_host, outlive_readers, settle
 
 PROGRAM = "coop"
 
@@ -136,8 +137,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: ends the process; a Refusal is one line for a person and an exit code for a script."""
     settle()
     outlive_readers()
-    hear_stops()
-    end(dispatch(arguments))
+    stops.hear()
+    code = dispatch(arguments)
+    if stops.heard() and not code:
+        raise KeyboardInterrupt  # it was dropped, and the command went on to its end
+    end(code)
 
 
 def dispatch(arguments: Sequence[str] | None = None) -> int:
@@ -158,6 +162,8 @@ def dispatch(arguments: Sequence[str] | None = None) -> int:
         from drivers.interface import Refusal  # numpy with it, which `coop --help` has no need of
 
         if not isinstance(error, Refusal):
+            if stops.heard():
+                raise KeyboardInterrupt from error  # what a library made of it
             raise
         return [_refuse(line, error.exit_code) for line in error.lines][-1]
     return code if isinstance(code, int) else 0

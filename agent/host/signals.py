@@ -62,12 +62,21 @@ class StopFlag:
 
     @contextmanager
     def interrupting(self) -> Iterator[None]:
-        """For work that asks nobody: a stop that comes within the block ends it, as KeyboardInterrupt."""
-        self._interrupts = True
+        """For work that asks nobody: a stop that comes within the block ends it, as KeyboardInterrupt.
+
+        So it does where what the work is in drops that exception, or makes another one of it (agent.host.stops).
+        """
+        self._interrupts, before = True, self.stops
         try:
             yield
+        except Exception as error:
+            if self.stops > before:
+                raise KeyboardInterrupt from error
+            raise
         finally:
             self._interrupts = False
+        if self.stops > before:
+            raise KeyboardInterrupt
 
 
 def begin(parent: int | None, *, at_once: bool = False) -> StopFlag:

@@ -7,7 +7,6 @@ import gc
 import io
 import os
 import select
-import signal
 import stat
 import sys
 from typing import Any, Final, NoReturn
@@ -42,19 +41,6 @@ def _open_closed_streams() -> None:
             nowhere = os.open(os.devnull, os.O_RDWR)
             os.set_inheritable(nowhere, True)
             setattr(sys, name, os.fdopen(nowhere, mode, encoding="utf-8", closefd=False))  # a copy replaces it
-
-
-def hear_stops() -> None:
-    """Have SIGTERM and SIGHUP end a command as Ctrl-C does, which tidies up; `nohup` has one of them ignored."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, signal.default_int_handler)
-
-
-def end_at_ctrl_z() -> None:
-    """Have Ctrl-Z end a command as Ctrl-C does: suspended, one that moves an arm would watch over it no more."""
-    if signal.getsignal(signal.SIGTSTP) is signal.SIG_DFL:
-        signal.signal(signal.SIGTSTP, signal.default_int_handler)
 
 
 class _Lasting(io.FileIO):

@@ -300,4 +300,4 @@ def test_a_first_motion_is_not_suspended_by_ctrl_z(monkeypatch: pytest.MonkeyPat
         coop("doctor", "two_wx200", "--arm", "left", *(["--move"] if move else []))
     finally:
         signal.signal(signal.SIGTSTP, before)
-    assert heard == [signal.default_int_handler] * move
+    assert [callable(handler) for handler in heard] == [True] * move

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
@@ -82,6 +83,27 @@ def test_a_stop_interrupts_work_that_asks_nobody_but_not_what_tidies_up_after_it
         work()
     assert flag.released
     assert (flag(), flag.stops) == (True, 2)
+
+
+@pytest.mark.usefixtures("handlers")
+def test_a_stop_that_is_lost_in_such_work_ends_it_all_the_same() -> None:
+    flag = StopFlag()
+
+    def dropped() -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+    def turned() -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            raise ValueError from None
+
+    for work in (dropped, turned):
+        with pytest.raises(KeyboardInterrupt), flag.interrupting():
+            work()
+    with pytest.raises(ZeroDivisionError), flag.interrupting():
+        _ = 1 / 0
 
 
 @pytest.mark.usefixtures("handlers")
