@@ -99,11 +99,13 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             stack.callback(control.close)
         ready(pairs(ring=options.ring))
         tell = Teller(arm.name, texts)
-        guard = _reached(cell, options, stop, control)
+        with tell.refusals():
+            guard = _reached(cell, options, stop, control)
         if guard is None and not options.lockstep:
             tell.event(Level.WARN, UNGUARDED)
         q_start = rest_joints(arm) if options.whole else report.q_start[cell.arms.index(arm)]
-        driver, clock = build_driver(cell, arm, options.driver, options, q_start, tell.warn, guard)
+        with tell.refusals():
+            driver, clock = build_driver(cell, arm, options.driver, options, q_start, tell.warn, guard)
         try:
             info = driver.connect()
             tell.clock = clock  # from here on it has the run's time

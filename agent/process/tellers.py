@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from agent.around import RunSummary
@@ -17,7 +17,7 @@ from agent.telemetry.row.event import HOLDS, Level
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.health import grip_values, health_values
 from agent.telemetry.row.sample import AGENT_STATE
-from drivers.interface import Clock, Driver, Gripper
+from drivers.interface import Clock, Driver, Gripper, Refusal
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
@@ -59,6 +59,15 @@ class Teller:
     def trouble(self, reason: str) -> None:
         """The arm holds by itself."""
         self.event(Level.WARN, f"{HOLDS}{reason}")
+
+    @contextmanager
+    def refusals(self) -> Iterator[None]:
+        """Tell of the one that ends the block."""
+        try:
+            yield
+        except Refusal as error:
+            self.event(Level.ERROR, str(error))
+            raise
 
     def end(self, summary: RunSummary, cpu_s: float) -> None:
         """The run is over; wall_s is what the report's real-time factor is made of."""

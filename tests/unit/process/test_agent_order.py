@@ -19,6 +19,7 @@ from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
 from agent.guard.guarded import BUSY_S, UNGUARDED, Guarded
+from agent.guard.line import GuardError
 from agent.guard.takeover import stale_ns
 from agent.host.notify import Notifier
 from agent.host.signals import StopFlag
@@ -207,6 +208,14 @@ def test_an_agent_that_nobody_guards_says_so_where_it_runs_by_itself(
     texts = [text for kind, text in TextReader(tmp_path / "left.ring").read_new() if kind is Kind.EVENT]
     told = [event for text in texts if (event := Event.from_json(text)).text == UNGUARDED]
     assert [event.level for event in told] == [Level.WARN] * times
+
+
+def test_an_agent_that_finds_no_guard_leaves_what_it_found(tmp_path: Path) -> None:
+    """`coop status` has it: of an agent that ended so it said that nothing was there."""
+    with pytest.raises(GuardError, match="start it first") as refused:
+        process.run_agent(CELL, options(tmp_path, guard=tmp_path / "left.guard"), StopFlag(), lambda _: None)
+    texts = [text for kind, text in TextReader(tmp_path / "left.ring").read_new() if kind is Kind.EVENT]
+    assert [(event.level, event.text) for event in map(Event.from_json, texts)] == [(Level.ERROR, str(refused.value))]
 
 
 def arm_with(guard: Any, monkeypatch: pytest.MonkeyPatch) -> None:
