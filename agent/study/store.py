@@ -16,6 +16,7 @@ from pydantic import TypeAdapter
 
 from agent.atomic import WriteError, make_folder
 from agent.host.flock import holder, lock
+from agent.log.disk import require_a_name
 from agent.study.measure import RunResult
 from agent.study.plan import Plan, Task, seed_of
 from drivers.interface import Refusal
@@ -88,6 +89,11 @@ class Store:
             )
 
     def _unwritable(self, error: OSError) -> WriteError:
+        if isinstance(error, FileNotFoundError):
+            return WriteError(
+                f"file {self.path}", found=error.strerror, expected="finished runs, and a place for more",
+                remedy="start it again: it begins with the first run",
+            )  # fmt: skip
         return WriteError(
             f"file {self.path}",
             found=error.strerror,
@@ -153,6 +159,7 @@ class Store:
             raise self._unwritable(error) from error
 
     def _append(self, content: Mapping[str, Any]) -> None:
+        require_a_name(self._file.fileno(), self.path)
         self._file.write(_line(content))
         self._file.flush()
         os.fsync(self._file.fileno())

@@ -10,6 +10,7 @@ import logging
 import math
 import platform
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -304,6 +305,26 @@ def test_a_file_that_no_study_has_written_is_kept_unless_asked(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     run_study(plan, tmp_path, known(results), lambda: False, Told(), anew=True)
     assert not (tmp_path / name).read_bytes().startswith(b"mine")
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_study_whose_folder_is_removed_ends_with_the_next_run_and_one_that_is_moved_goes_on(
+    tmp_path: Path, plan: Plan, results: list[RunResult], moved: bool
+) -> None:
+    """It worked on to its end, and all runs were lost."""
+    out, told = tmp_path / "out", Told()
+
+    def work(tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
+        for count, done in enumerate(known(results)(tasks)):
+            if count == 2:
+                out.rename(tmp_path / "elsewhere") if moved else shutil.rmtree(out)
+            yield done
+
+    with pytest.raises(WriteError, match=r"somebody has removed it.* it begins with the first run|study\.json"):
+        run_study(plan, out, work, lambda: False, told)
+    assert len(told.done) == (4 if moved else 2)
+    if moved:
+        assert len((tmp_path / "elsewhere" / RUNS_FILE).read_bytes().splitlines()) == 1 + 4, "with it the study goes on"
 
 
 def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
