@@ -35,6 +35,10 @@ class LogError(Refusal):
     """The file is no log that can be read."""
 
 
+class NoRows(LogError):
+    """The log can be read, and no row of an arm is in it."""
+
+
 class RowSink(Protocol):
     """Where the rows of one member go."""
 

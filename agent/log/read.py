@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.host.info import RUN_FILE
-from agent.log.collect import Collected, LogError, Needs
+from agent.log.collect import Collected, LogError, Needs, NoRows
 from agent.log.columns import ColumnFile, StoredRows, Table
 from agent.log.lacking import lacking, missing
 from agent.log.misfits import config_id_of, misnumbered, of_another_configuration
@@ -27,7 +27,7 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, Layout
 from agent.telemetry.row.topics import PLANT, RECORDER
 
-__all__ = ["AnyLog", "ColumnLog", "Event", "Level", "LogError", "RunLog", "open_log", "read_log"]
+__all__ = ["AnyLog", "ColumnLog", "Event", "Level", "LogError", "NoRows", "RunLog", "open_log", "read_log"]
 
 COMPLETENESS: Final = "completeness"
 RECOVERY: Final = "recovery"  # what `coop recover` says of a log it repaired
@@ -142,7 +142,7 @@ def _log(collected: Collected[Any], every: Mapping[str, AnyRows]) -> Log[AnyRows
     problems += foreign
     agents = {member: own for member, own in rows.items() if member != PLANT}
     if not agents:
-        raise LogError(
+        raise NoRows(
             f"{collected.path} holds no rows",
             found=problems[0] if problems else "no agent's state",
             expected=f"messages of {AGENT_STATE.ros_name}",

@@ -12,6 +12,8 @@ from pathlib import Path
 
 from agent.host.flock import holder, lock
 from agent.log.file import remove_log
+from agent.log.read import LogError, NoRows, open_log
+from agent.process.unbegun import StoppedEarly
 from agent.telemetry.row.topics import PLANT
 from drivers.interface import Refusal
 
@@ -56,7 +58,22 @@ def output_folder(
         remove_log(out / LOG_NAME)
         if replace:
             _remove_report(out)
-        yield out
+        try:
+            yield out
+        except StoppedEarly:
+            _remove_begun(out / LOG_NAME)
+            raise
+
+
+def _remove_begun(log: Path) -> None:
+    """Remove a log to which no row came before everything was stopped, so that the same command may be given again."""
+    try:
+        with open_log(log):
+            pass
+    except NoRows:
+        remove_log(log)
+    except LogError:  # none is there, or one that cannot be read
+        pass
 
 
 def _remove_report(out: Path) -> None:

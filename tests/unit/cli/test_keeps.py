@@ -24,6 +24,7 @@ from agent.identify.run import write
 from agent.log.file import LogInTheWay
 from agent.process import folder
 from agent.process.folder import LOG_NAME, RunError, output_folder, words_folder, words_of
+from agent.process.unbegun import StoppedEarly
 from agent.report.names import picture_files
 from agent.report.page import figure_html
 from agent.report.picture import Picture
@@ -35,7 +36,9 @@ from tests.support.full_disk import full_for
 from tests.support.identify_rig import exact
 from tests.support.servos.motor_emulator import loose_servos
 from tests.support.telemetry.log_maker import LogMaker, make_log
+from tests.support.telemetry.run_log import write_run
 from tests.support.telemetry.synthetic_run import paper_run
+from tests.support.telemetry.telemetry_cell import make_rows
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 MINE = b"mine\n"
@@ -359,6 +362,25 @@ def test_what_processes_of_a_run_that_failed_have_said_may_be_written_over(tmp_p
     write_mine(tmp_path / "errors.png")
     with pytest.raises(RunError, match=r"found errors\.png"), output_folder(tmp_path, "paper", own=own):
         pass
+
+
+@pytest.mark.parametrize(("rows", "kept"), [(0, False), (3, True)])
+def test_a_run_that_is_stopped_before_its_first_row_may_be_given_again(tmp_path: Path, rows: int, kept: bool) -> None:
+    """The remedy says so; a log that holds a row stays, as does one that cannot be read."""
+
+    def stopped(out: Path, write: Callable[[Path], object]) -> None:
+        with output_folder(out, "paper"):
+            write(out / LOG_NAME)
+            raise StoppedEarly.of("run")
+
+    with pytest.raises(StoppedEarly):
+        stopped(tmp_path, lambda log: write_run(log, load_cell(PAPER), {"left": make_rows("left", rows)}))
+    assert (tmp_path / LOG_NAME).exists() is kept
+    with pytest.raises(RunError) if kept else nullcontext(), output_folder(tmp_path, "paper"):
+        pass
+    with pytest.raises(StoppedEarly):
+        stopped(tmp_path / "b", write_mine)
+    assert (tmp_path / "b" / LOG_NAME).exists()
 
 
 def test_a_file_by_the_name_of_the_folder_of_words_is_one_line(tmp_path: Path) -> None:
