@@ -103,12 +103,13 @@ class Child:
     def failed(self, what: str) -> ChildFailed:
         """The error that tells of this child's end, with its last words."""
         last, code = self.last_words(), self.process.poll()
-        said = f"{code}: {CUT}" if code == -signal.SIGBUS else str(code)
+        ended = f"exit code {code}: {CUT}" if code == -signal.SIGBUS else f"exit code {code}"
+        said = "it still runs" if code is None else ended
         return ChildFailed(
             self.name,
-            found=f"{what} (exit code {said})" + (f": {last}" if last else ""),
+            found=f"{what} ({said})" + (f": {last}" if last else ""),
             expected="a process that runs to the end",
-            remedy=f"its log is {self.log}",
+            remedy=f"its log is {self.log}" if self.log.exists() else f"{self.log} is gone, which was its log",
         )
 
     def last_words(self) -> str:

@@ -92,8 +92,8 @@ def _live(name: str, be: Callable[[], int], streams: tuple[int, int], deaf: Coll
     code = 1
     try:
         os.setsid()
-        Path("/proc/self/comm").write_text(name[:NAME_MAX])
         _take(*streams)
+        Path("/proc/self/comm").write_text(name[:NAME_MAX])
         _hear_as_new()
         signal.pthread_sigmask(signal.SIG_SETMASK, deaf)
         code = be()
@@ -110,10 +110,13 @@ def _live(name: str, be: Callable[[], int], streams: tuple[int, int], deaf: Coll
 
 def _take(out: int, words: int) -> None:
     """Have standard streams of its own, and no other file."""
+    os.dup2(out, 1)
+    os.dup2(words, 2)
+    os.closerange(3, os.sysconf("SC_OPEN_MAX"))  # before one more is opened, where there may be few
     nothing = os.open(os.devnull, os.O_RDONLY)
-    for found, number in ((nothing, 0), (out, 1), (words, 2)):
-        os.dup2(found, number)
-    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+    os.dup2(nothing, 0)
+    if nothing > 0:
+        os.close(nothing)
     sys.stdin = os.fdopen(0, closefd=False)
     sys.stdout = os.fdopen(1, "w", closefd=False)
     sys.stderr = os.fdopen(2, "w", errors="backslashreplace", buffering=1, closefd=False)

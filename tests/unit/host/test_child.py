@@ -34,6 +34,16 @@ def test_a_child_that_fails_is_told_of_though_its_words_are_gone(
     shutil.rmtree(words)
     error = child.failed("ended")
     assert (error.what, error.found) == ("recorder", f"ended (exit code {child.process.returncode})")
+    assert error.remedy == f"{child.log} is gone, which was its log"
+    child.kill()
+
+
+def test_a_child_that_does_not_end_is_told_of_as_one_that_still_runs(tmp_path: Path) -> None:
+    child = Child("recorder", ["nothing"], tmp_path)
+    child.process.send_signal(signal.SIGSTOP)
+    error = child.failed("did not close the log")
+    assert error.found.startswith("did not close the log (it still runs)")
+    assert error.remedy == f"its log is {child.log}"
     child.kill()
 
 

@@ -62,6 +62,31 @@ Path("told").write_text(f"{{copy.stdout.read().decode()}}{{copy.wait()}}")
     assert (tmp_path / "words").read_text() == "True\n"
 
 
+def test_a_copy_of_a_process_that_has_all_its_files_open_closes_them_first(told: Told) -> None:
+    """A traceback stood before the line that says so."""
+    body = """import resource
+def be():
+    with open("file", "wb"):
+        return 6
+held = []
+with open("words", "wb") as words:
+    inside = [os.open("/", os.O_RDONLY) for _ in range(20)]
+    for fd in inside[:4]:  # those of the copy's own streams
+        os.close(fd)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(inside) + 1, max(inside) + 1))
+    copy = Copy("arm-left", be, words)
+    while True:
+        try:
+            held.append(os.open("/", os.O_RDONLY))
+        except OSError:
+            break
+print(copy.wait())
+os.close(held.pop())
+print(repr(Path("words").read_text()))
+"""
+    assert told(body) == ["6", "''"]
+
+
 @pytest.mark.parametrize(
     ("end", "code", "words"),
     [
