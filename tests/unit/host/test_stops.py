@@ -88,7 +88,7 @@ def ran(work: str, number: str) -> tuple[int, str, str]:
 @pytest.mark.parametrize(
     ("work", "said"),
     [
-        (DROPPED.format(then="time.sleep(50.0)"), "loaded\ngoes on\n"),  # it comes again
+        (DROPPED.format(then="time.sleep(20.0); print('its end')"), "loaded\ngoes on\n"),  # it comes again
         (DROPPED.format(then="return 0"), "loaded\ngoes on\n"),
         (TURNED, "loaded\n"),
     ],
