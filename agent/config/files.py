@@ -31,6 +31,7 @@ from agent.config.schema.member import Arm as ArmEntry
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.types import nearest
 from agent.config.urdf import text_of_urdf, urdf_beside
+from agent.config.urdf_joints import sliding
 from agent.control.trajectory import Trajectory
 from drivers.dynamixel.servo.models import SERVOS, ServoModel
 from drivers.interface import Vector
@@ -211,6 +212,12 @@ def _arm(entry: ArmEntry, embedded: Mapping[str, str], source: str, arms_dir: Pa
             expected=f"joints of {entry.model}: {', '.join(by_name)}",
             remedy="correct `controlled` or `locked_rad`",
         )
+    slides = [joint for joint in by_name if joint in sliding(urdf_xml)]
+    if slides:
+        raise ConfigError(
+            f"joints of arm {entry.name} ({arm_file.urdf})", found=f"{', '.join(slides)}, which slides",
+            expected="joints that turn, as their servos do", remedy="make them `revolute`",
+        )  # fmt: skip
     servos = tuple(by_name[j] for j in entry.controlled)
     _refuse_weak_servos(entry, servos, source)
     return ArmFiles(entry, arm_file, arm_bytes, urdf_xml, servos, own is not None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
+from functools import lru_cache
 from typing import Final
 
 from agent.config.reading import ConfigError, shown
@@ -55,6 +56,13 @@ def _refuse_limits(joint: ET.Element, where: str, name: str, *, turns: bool) -> 
             f"limits of {where} in {name}", found=f"{lower:g} to {upper:g}", expected="rad, within one turn",
             remedy="give them in rad, as far as the joint may turn; its encoder knows one turn",
         )  # fmt: skip
+
+
+@lru_cache(maxsize=8)  # arms of one kind
+def sliding(urdf_xml: str) -> frozenset[str]:
+    """Names of the joints of a URDF that slide."""
+    joints = ET.fromstring(urdf_xml).iterfind("joint")
+    return frozenset(joint.get("name", "") for joint in joints if joint.get("type") == "prismatic")
 
 
 def refuse_macros(robot: ET.Element, name: str) -> None:

@@ -234,12 +234,6 @@ def _reduced_model(
             expected=f"names among {', '.join(names)}" if names else "joints that move: the URDF has none of them",
             remedy="correct the cell" if names else "give the URDF its joints, or name that of this arm",
         )
-    sliding = [j for j in controlled if full.joints[full.getJointId(j)].shortname().startswith("JointModelP")]
-    if sliding:
-        raise ModelError(
-            "controlled joints of the URDF", found=f"{', '.join(sliding)}, which slides", expected="joints that turn",
-            remedy="make them `revolute`, or lock them (locked_rad)",
-        )  # fmt: skip
     rest = [j for j in names if j not in controlled]
     missing = [j for j in rest if j not in locked_rad]
     if missing:

@@ -167,7 +167,6 @@ HEAVY_TIP = re.sub(
 LOOSE = [
     re.sub(rf'(joint name="{joint}" type=)"revolute"', r'\1"continuous"', urdf("wx200")) for joint in ("waist", "elbow")
 ]
-SLIDING = re.sub(r'(joint name="elbow" type=)"revolute"', r'\1"prismatic"', urdf("wx200"))
 
 
 @pytest.mark.parametrize(
@@ -177,13 +176,12 @@ SLIDING = re.sub(r'(joint name="elbow" type=)"revolute"', r'\1"prismatic"', urdf
         ("<robot", r"URDF: found .+, expected a robot description; check it with check_urdf"),
         (LOOSE[0], r"joints of the URDF: found waist \(.*\), expected joints with one angle"),
         (LOOSE[1], r"joints of the URDF: found elbow \(.*\), expected joints with one angle"),
-        (SLIDING, "controlled joints of the URDF: found elbow, which slides, expected joints that turn"),
         (
             '<robot name="r"><link name="ee"/></robot>',
             r"joint names: found .*, expected joints that move: the URDF has none of them; give the URDF",
         ),
     ],
-    ids=["overflow", "no URDF", "first joint", "another joint", "sliding", "no joint"],
+    ids=["overflow", "no URDF", "first joint", "another joint", "no joint"],
 )
 def test_a_urdf_that_describes_no_arm_is_refused(xml: str, said: str) -> None:
     with pytest.raises(ModelError, match=said):

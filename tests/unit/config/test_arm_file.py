@@ -171,6 +171,7 @@ def with_joint(joint: str, old: str, new: str) -> str:
             "axis of joint elbow in wx200.urdf: found 0 0",
         ),
         (with_joint("waist", '<axis xyz="0 0 1"/>', '<axis xyz="0 0 1.0015"/>'), "axis of joint waist .*of length 1"),
+        (with_joint("elbow", "revolute", "prismatic"), r"joints of arm left .*: found elbow, which slides"),
         (with_joint("elbow", "<limit [^>]*/>", ""), "limit lower of joint elbow in wx200.urdf: found nothing.*rad/s"),
         (with_joint("elbow", 'velocity="', 'speed="'), "limit velocity of joint elbow in wx200.urdf: found nothing"),
         (with_joint("elbow", 'effort="[^"]*"', 'effort="much"'), "limit effort of joint elbow .*: found 'much'"),
@@ -251,10 +252,6 @@ def test_a_thin_or_rounded_link_is_a_body(tmp_path: Path, urdf: str) -> None:
         (
             with_joint("waist", 'type="revolute"', 'type="continuous"').replace("<limit", "<soft", 1),
             "joints of the URDF, arm left .*found waist",
-        ),
-        (
-            with_joint("shoulder", 'type="revolute"', 'type="prismatic"'),
-            "controlled joints of the URDF, arm left .*found shoulder, which slides",
         ),
         (
             URDF.replace('name="waist"', 'name="waste"'),
