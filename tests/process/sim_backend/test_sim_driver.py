@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim_backend.served.listener import ListenError
 from tests.support.loaded import Loaded
 from tests.support.plant.sim_process import LISTENING
 
@@ -148,7 +149,7 @@ def test_frozen_agent_stops_time_and_nothing_else(cell: Cell) -> None:
 def test_second_plant_at_the_same_place_is_refused(cell: Cell) -> None:
     first = cell.plant()
     code, words = end(cell.start("plant", cell.socket))
-    assert code == 4
+    assert code == ListenError.exit_code == 2
     assert "another plant answers at" in words
     assert [end(agent)[0] for agent in cell.agents(10)] == [0, 0]
     assert end(first)[0] == 0

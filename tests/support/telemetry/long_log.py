@@ -13,6 +13,7 @@ import numpy as np
 
 from agent.log.channels import LogChannels
 from agent.log.file import Attachment, LogFile
+from agent.log.misfits import config_id_of
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.sample import AGENT_STATE
@@ -33,7 +34,8 @@ EXACT = {"theta_arm", "theta_object", "memory", "tau_posture", "tau_adaptive", "
 def make_long_log(path: Path, duration_s: float) -> None:
     """Write a complete log with the figures of `paper_run`, as large as one of a real run: about 34 MB in 100 s."""
     ticks = round(duration_s * RATE_HZ)
-    run = json.dumps(run_file(duration_s, float(RATE_HZ))).encode()
+    described = run_file(duration_s, float(RATE_HZ))
+    run, config_id = json.dumps(described).encode(), config_id_of(described["fingerprint"], {})
     file = LogFile(path, [Attachment("run.json", "application/json", run)], {}, created_ns=1, min_free_bytes=0)
     channels = LogChannels(file, scene(CELL, ARMS), has_plant=True)
     random, torque_noise = np.random.default_rng(1), np.random.default_rng(7)
@@ -43,6 +45,8 @@ def make_long_log(path: Path, duration_s: float) -> None:
             arm: paper_rows(side, count, torque_noise, first=first) for arm, side in (("left", -1.0), ("right", 1.0))
         }
         rows[PLANT] = true_rows(rows["left"])[::TRUE_EVERY]
+        for own in rows.values():
+            own["config_id"] = config_id
         for arm in ARMS:
             _add_noise(rows[arm], random)
         for begin in range(0, count, BATCH):
