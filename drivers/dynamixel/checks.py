@@ -121,9 +121,9 @@ class JumpCheck:
         self._last = (stamp_ns, angle_rad)
         return False
 
-    def fault(self, angle_rad: float) -> DxlServoFault:
+    def fault(self) -> DxlServoFault:
         """What to say when it happens again."""
-        text = f"a step to {angle_rad:.3f} rad, {self.in_a_row} times in a row"
+        text = f"a step to {self._jumped_rad:.3f} rad, {self.in_a_row} times in a row"
         expected = f"at most {self._speed:.1f} rad/s"
         return DxlServoFault.of(FaultCause.POSITION_JUMP, self.slot, found=text, expected=expected)
 

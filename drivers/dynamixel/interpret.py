@@ -80,7 +80,7 @@ class Interpreter:
                 stale.append(entry.joint.name)
                 self._unseen(index)
                 if entry.jump.in_a_row > 1:
-                    faults.append(entry.jump.fault(angle))
+                    faults.append(entry.jump.fault())
                 continue
             q[index] = angle
             self._unseen_cycles[index] = 0
@@ -101,6 +101,10 @@ class Interpreter:
                 pair.check(followed, shadow, self._tell)
         state = JointState(cycle.stamp_ns, np.array(q), np.array(dq), np.array(tau))
         return Reading(state, stale, jumped, faults)
+
+    def doubted(self) -> DxlServoFault | None:
+        """The first joint whose last angle was not believed."""
+        return next((entry.jump.fault() for entry in self._joints if entry.jump.in_a_row), None)
 
     def _unseen(self, index: int) -> None:
         """No speed of a joint in this cycle: a motor whose voltage is made up for an old one would push with it."""

@@ -60,6 +60,7 @@ def make_sure(running: Running, arm: ArmMap, clock: Now) -> None:
     """
     running.hear_health()
     cycle = running.reader.read()
+    reading = running.interpret(cycle, clock.now_ns())
     if None in cycle.rows:
-        raise stale(arm, cycle, running.interpret(cycle, clock.now_ns()))
+        raise stale(arm, cycle, reading)
     running.recognise()

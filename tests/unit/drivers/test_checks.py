@@ -190,7 +190,7 @@ def test_a_jump_that_is_repeated_names_the_place_and_the_speed() -> None:
     check = JumpCheck(SHOULDER)
     for k, angle in enumerate((0.0, 1.0, 1.25)):
         check.is_jump(k * CYCLE_NS, angle)
-    fault = check.fault(1.25)
+    fault = check.fault()
     assert (fault.cause, fault.servo_id) == (FaultCause.POSITION_JUMP, SHOULDER.servo_id)
     assert fault.found == "a step to 1.250 rad, 2 times in a row"
     assert fault.expected == "at most 6.0 rad/s"

@@ -116,6 +116,37 @@ def test_watchdogs_that_fired_are_armed_again_with_zero_torque() -> None:
     rig.driver.write(TAU)
 
 
+@pytest.mark.fault("S5")
+@pytest.mark.parametrize("offset_ticks", [57, 2048])
+def test_an_arm_whose_encoder_has_jumped_is_not_armed_again_before_it_is_back(offset_ticks: int) -> None:
+    """Armed again it believed what it had rejected, and held with torque of the wrong sign."""
+    rig = working()
+    rig.fault(FaultKind.ENCODER_OFFSET, 4, offset_ticks=offset_ticks)
+    for _ in range(10):
+        with contextlib.suppress(DriverError):
+            rig.driver.read()
+        rig.driver.write(TAU)
+        rest(rig, 0.004)
+    rest(rig, 0.25)
+    for _ in range(20):
+        with contextlib.suppress(DriverError):
+            rig.driver.read()
+        rig.driver.write(0.0 * TAU)
+        rest(rig, 0.004)
+    assert rig.driver.lapsed is True
+    rig.port.writes.clear()
+    for _ in range(3):
+        with pytest.raises(RearmError, match=r"servo 4 \(elbow\).*: found a step to .* in a row"):
+            rig.driver.recover()
+        rest(rig, 0.1)
+    assert asked(rig) <= ASKING
+    assert rig.get(4, table.BUS_WATCHDOG) == WATCHDOG_TRIPPED
+    rig.injector.clear(rig.clock.now_ns())
+    if offset_ticks == 2048:  # a small offset is not told from how far the arm has sunk
+        assert rig.driver.recover() is True
+        assert rig.get(4, table.GOAL_CURRENT) == 0
+
+
 def test_watchdogs_that_fire_again_after_they_were_not_armed_again_are_noticed_again() -> None:
     rig = tripped()
     for servo in IDS:  # as where the packets of a recovery reached it, and its answers did not come
