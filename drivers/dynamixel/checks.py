@@ -128,6 +128,30 @@ class JumpCheck:
         return DxlServoFault.of(FaultCause.POSITION_JUMP, self.slot, found=text, expected=expected)
 
 
+class SpeedCheck:
+    """Speeds that the joint cannot have, of one joint: an answer that is intact may still say anything."""
+
+    def __init__(self, slot: ServoSlot) -> None:
+        self.slot = slot
+        self._most = JUMP_SPEED * slot.model.no_load_rad_per_s
+        self._found = 0.0
+        self.in_a_row = 0
+
+    def is_beyond(self, speed_rad_per_s: float) -> bool:
+        """True for a speed that is not believed."""
+        beyond = not abs(speed_rad_per_s) <= self._most
+        self.in_a_row = self.in_a_row + 1 if beyond else 0
+        if beyond:
+            self._found = speed_rad_per_s
+        return beyond
+
+    def fault(self) -> DxlServoFault:
+        """What to say when it happens again."""
+        text = f"a speed of {self._found:.3g} rad/s, {self.in_a_row} times in a row"
+        expected = f"at most {self._most:.1f} rad/s"
+        return DxlServoFault.of(FaultCause.POSITION_JUMP, self.slot, found=text, expected=expected)
+
+
 class EffectCheck:
     """Commanded against present current, for one servo in current mode."""
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.dynamixel.arm_map import ArmMap, JointMap, ServoSlot
-from drivers.dynamixel.checks import JumpCheck, PairCheck, SilenceCheck, effect_checks
+from drivers.dynamixel.checks import JumpCheck, PairCheck, SilenceCheck, SpeedCheck, effect_checks
 from drivers.dynamixel.cycle import CycleRows
 from drivers.dynamixel.errors import DxlServoFault
 from drivers.dynamixel.events import OncePerServo
@@ -28,6 +28,7 @@ class _Joint:
     scale: AngleScale
     drive: TorqueDrive
     jump: JumpCheck
+    speed: SpeedCheck
 
 
 @dataclass(slots=True)
@@ -51,7 +52,8 @@ class Interpreter:
         self._joints = []
         for joint, drive in zip(arm.controlled, drives, strict=True):
             places = tuple(place_of[servo_id] for servo_id in joint.ids)
-            self._joints.append(_Joint(joint, places, AngleScale(joint), drive, JumpCheck(slots[places[0]])))
+            jump, speed = JumpCheck(slots[places[0]]), SpeedCheck(slots[places[0]])
+            self._joints.append(_Joint(joint, places, AngleScale(joint), drive, jump, speed))
         self._silence = SilenceCheck(slots, arm.line_patience_cycles)
         self._effects = effect_checks(arm)
         self._pairs = [
@@ -75,16 +77,17 @@ class Interpreter:
                 self._unseen(index)
                 continue
             angle = entry.scale.angle_rad(row[3])
-            if entry.jump.is_jump(cycle.stamp_ns, angle):
+            speed = velocity_rad_per_s(row[2])
+            jumps, races = entry.jump.is_jump(cycle.stamp_ns, angle), entry.speed.is_beyond(speed)
+            if jumps or races:
                 jumped = True
                 stale.append(entry.joint.name)
                 self._unseen(index)
-                if entry.jump.in_a_row > 1:
-                    faults.append(entry.jump.fault())
+                faults += [check.fault() for check in (entry.jump, entry.speed) if check.in_a_row > 1]
                 continue
             q[index] = angle
             self._unseen_cycles[index] = 0
-            dq[index] = self.dq[index] = velocity_rad_per_s(row[2])
+            dq[index] = self.dq[index] = speed
             present = self._currents(entry, rows)
             if present is not None:
                 tau[index] = entry.drive.measured_Nm(present, dq[index])
@@ -103,8 +106,9 @@ class Interpreter:
         return Reading(state, stale, jumped, faults)
 
     def doubted(self) -> DxlServoFault | None:
-        """The first joint whose last angle was not believed."""
-        return next((entry.jump.fault() for entry in self._joints if entry.jump.in_a_row), None)
+        """The first joint whose last angle or speed was not believed."""
+        checks = (check for entry in self._joints for check in (entry.jump, entry.speed))
+        return next((check.fault() for check in checks if check.in_a_row), None)
 
     def _unseen(self, index: int) -> None:
         """No speed of a joint in this cycle: a motor whose voltage is made up for an old one would push with it."""

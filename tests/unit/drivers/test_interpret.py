@@ -118,6 +118,28 @@ def test_a_position_that_cannot_be_is_stale_once_and_a_fault_twice() -> None:
     assert (reading.stale, reading.jumped, reading.faults) == ([], False, [])
 
 
+@pytest.mark.fault("S5")
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_speed_that_cannot_be_is_stale_once_and_a_fault_twice_and_no_torque_is_made_of_it(sign: int) -> None:
+    """Of an intact answer; the position beside it is as it was, and is believed again with the next."""
+    bench = Bench()
+    most = 1.25 * WX200.slots[3].model.no_load_rad_per_s
+    bench.read(rows(s4=(0, 40, sign * int(most / SPEED_UNIT), 2052)))
+    assert bench.interpreter.dq[1] == pytest.approx(sign * most, rel=0.01)
+    beyond = (0, 40, sign * (int(most / SPEED_UNIT) + 1), 2052)
+    reading = bench.read(rows(s4=beyond))
+    assert (reading.stale, reading.jumped, reading.faults) == (["elbow"], True, [])
+    assert np.isnan([reading.state.q[1], reading.state.dq[1], reading.state.tau[1]]).all()
+    (fault,) = bench.read(rows(s4=(0, 40, sign * (2**31 - 1), 2052))).faults
+    assert (fault.cause, fault.servo_id) == (FaultCause.POSITION_JUMP, 4)
+    assert fault.found == f"a speed of {sign * (2**31 - 1) * SPEED_UNIT:.3g} rad/s, 2 times in a row"
+    assert fault.expected == f"at most {most:.1f} rad/s"
+    assert bench.interpreter.doubted() is not None
+    reading = bench.read(rows())
+    assert (reading.stale, reading.jumped, reading.faults) == ([], False, [])
+    assert bench.interpreter.doubted() is None
+
+
 def test_a_joint_that_jumps_keeps_its_last_speed_and_does_not_hide_the_joints_after_it() -> None:
     bench = Bench()
     bench.read(rows())
