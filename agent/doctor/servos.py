@@ -166,7 +166,7 @@ SECTIONS = (
         (
             rules.DIRECTION, rules.DRIVE_BITS, rules.SECONDARY, rules.HOMING, rules.STARTUP, rules.CURRENT_LIMIT,
             rules.PWM_NEEDED, rules.MODE, rules.RETURN_DELAY, rules.PWM_LIMIT, rules.LOW_LIMIT, rules.HIGH_LIMIT,
-            rules.SHUTDOWN,
+            rules.SHUTDOWN, rules.HEAT_LIMIT,
         ),
         _eeprom, _text("the arm file's directions, shadows and limits"),
     ),

@@ -12,7 +12,7 @@ from agent.config.session import build_life, fingers, grip_plan, rest_joints
 from agent.control import joint_track
 from agent.control.life import Life
 from agent.verify.finding import Finding, Verdict, judged, warning
-from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.models import OVERLOAD_SHARE, SERVOS
 
 SAMPLES = 60  # along the path
 GRIP_MARGIN = 2.0  # of what friction needs at the least
@@ -45,7 +45,7 @@ def session(cell: Cell, of_arms: Sequence[Life]) -> list[Finding]:
 
 def _of_arm(cell: Cell, arm: Arm, life: Life) -> list[Finding]:
     width_m = grip_plan(cell, arm).width_m
-    return [*_along(cell, arm, life), *_locked(arm), _grip(cell, arm, width_m)]
+    return [*_along(cell, arm, life), *_locked(arm), _grip(cell, arm, width_m), *_grip_lasts(arm)]
 
 
 def _along(cell: Cell, arm: Arm, life: Life) -> list[Finding]:
@@ -65,7 +65,7 @@ def _along(cell: Cell, arm: Arm, life: Life) -> list[Finding]:
     return [
         judged(
             "distance to joint limits between rest and grasp", arm.name, f"{room:.3f} rad", "≥ 0", holds=room >= 0.0,
-            remedy="correct rest_rad, or take the other elbow solution (q_near_rad)",
+            remedy="correct rest_rad, or sleep_rad of the arm file, or take the other elbow solution (q_near_rad)",
         ),
         judged(
             f"torque between rest and grasp, {arm.entry.controlled[worst]}", arm.name,
@@ -105,3 +105,13 @@ def _grip(cell: Cell, arm: Arm, width_m: float) -> Finding:
         remedy="raise grip_effort of the arm file as far as its servo bears it, or carry less",
         otherwise=Verdict.WARNING,
     )  # fmt: skip
+
+
+def _grip_lasts(arm: Arm) -> list[Finding]:
+    """A gripper that presses so hard that its servo lets go after seconds."""
+    gripper = arm.file.gripper
+    effort = 0.0 if gripper is None or gripper.grip_effort is None else gripper.grip_effort.value
+    if effort < OVERLOAD_SHARE:
+        return []
+    remedy = "lower grip_effort of the arm file: the servo calls it an overload after seconds, and lets the object go"
+    return [warning("grip for long", arm.name, f"{effort:.0%} of stall", f"below {OVERLOAD_SHARE:.0%}", remedy)]

@@ -199,9 +199,8 @@ class DynamixelDriver:
             self.reopen() if self._port_lost else make_sure(running, self.arm, self._clock)
             arm = BringUp(self._bus, self.arm, self._found, self._on_event)
             if stopped := arm.has_stopped(half_armed=running.monitor.half_armed):
-                if (doubted := running.doubted()) is not None:
-                    raise RearmError.of(doubted)  # an arm that is armed again believes the first angles that it reads
                 try:
+                    running.require_believed()  # one that is armed again believes the first angles that it reads
                     self.rearm()
                 except DxlServoFault as fault:
                     raise RearmError.of(fault) from fault

@@ -175,9 +175,10 @@ class Running:
         reading.faults += self._noise.check(0 if cycle.late else heard)  # old answers are no noise
         return reading
 
-    def doubted(self) -> DxlServoFault | None:
-        """The first joint whose last angle was not believed: with torque nobody would see where it goes."""
-        return self._interpreter.doubted()
+    def require_believed(self) -> None:
+        """Raise the fault of a joint whose last angle or speed was not believed: nobody would see where it goes."""
+        if (doubted := self._interpreter.doubted()) is not None:
+            raise doubted
 
     def faults(self, reading: Reading, known: list[DxlServoFault]) -> list[DxlServoFault]:
         """Known faults and this cycle's new ones; one that explains another of its servo takes that one's place.

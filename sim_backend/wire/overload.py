@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from drivers.dynamixel.servo.codes import OperatingMode
+from drivers.dynamixel.servo.models import OVERLOAD_SHARE
 
 _OPEN_LOOP = frozenset({OperatingMode.CURRENT, OperatingMode.PWM})
 
@@ -33,7 +34,7 @@ class OverloadOptions:
     """How much for how long; the share is below the reported 41 %, at which servos do trip."""
 
     modes: OverloadModes = OverloadModes.CLOSED_LOOP
-    share_of_stall: float = 0.4
+    share_of_stall: float = OVERLOAD_SHARE
     trips_after_s: float = 5.0
 
 

@@ -221,7 +221,7 @@ TARGETS = (
         "drivers.dynamixel.bringup",
         (*_BRING_UP, f"{UNIT}/drivers/test_bringup_writes.py", f"{UNIT}/drivers/test_recover.py"),
     ),
-    Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
+    Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py", f"{UNIT}/drivers/test_interpret.py")),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_connected.py")),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
     Target(

@@ -129,6 +129,12 @@ def _warmth(servo: ServoFound) -> Said | None:
     return Said(f"{now} °C", f"below {near:g} °C", remedy) if near <= now < limit else None
 
 
+def _heat_limit(servo: ServoFound) -> Said | None:
+    """Nobody else ends what is too hot: at it the servo switches itself off, and all warnings are measured from it."""
+    found, factory = servo.value(table.TEMPERATURE_LIMIT), servo.slot.model.default(table.TEMPERATURE_LIMIT)
+    return None if factory is None or found <= factory else Said(f"{found} °C", f"at most {factory} °C", _SETUP)
+
+
 def _watchdog(servo: ServoFound) -> Said | None:
     tripped = servo.value(table.BUS_WATCHDOG) == WATCHDOG_TRIPPED
     found = "fired: the last program did not end as it should"
@@ -282,9 +288,10 @@ PWM_LIMIT = Rule("PWM Limit", (table.PWM_LIMIT,), Consequence.TOLERATED, _pwm_li
 LOW_LIMIT = _plain(table.MIN_POSITION_LIMIT, Consequence.TOLERATED)
 HIGH_LIMIT = _plain(table.MAX_POSITION_LIMIT, Consequence.TOLERATED)
 SHUTDOWN = _plain(table.SHUTDOWN, Consequence.TOLERATED)
+HEAT_LIMIT = Rule("Temperature Limit", (table.TEMPERATURE_LIMIT,), Consequence.TOLERATED, _heat_limit)
 
 RULES = (
     MODEL, MARK, FIRMWARE, FAST_READ, SUPPLY, RATED_SUPPLY, HEAT, WARMTH, HARDWARE, WATCHDOG, RETURN_LEVEL, TORQUE,
     POSE, REST, DIRECTION, DRIVE_BITS, SECONDARY, HOMING, STARTUP, CURRENT_LIMIT, PWM_NEEDED, MODE, RETURN_DELAY,
-    PWM_LIMIT, LOW_LIMIT, HIGH_LIMIT, SHUTDOWN, *KEPT_RAM,
+    PWM_LIMIT, LOW_LIMIT, HIGH_LIMIT, SHUTDOWN, HEAT_LIMIT, *KEPT_RAM,
 )  # fmt: skip

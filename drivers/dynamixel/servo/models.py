@@ -42,6 +42,10 @@ RATED_VOLTAGE_V = 12.0
 # none of X and MX; their staff advise 20 % of stall for continuous use (forum.robotis.com, thread 4220): an estimate.
 CONTINUOUS_SHARE = 0.2
 
+# Part of it at which one that holds a position or grips calls its load an overload and lets go: below the 41 % at
+# which owners report it after 5 s (DynamixelSDK issue 285).
+OVERLOAD_SHARE = 0.4
+
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:

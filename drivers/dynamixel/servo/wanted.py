@@ -30,6 +30,7 @@ from drivers.dynamixel.servo.table import (
     SECONDARY_ID,
     SHUTDOWN,
     STARTUP_CONFIGURATION,
+    TEMPERATURE_LIMIT,
     Register,
 )
 
@@ -71,7 +72,7 @@ def setup_values(slot: ServoSlot) -> dict[Register, int]:
     neighbour's.
     """
     low, high = slot.joint.position_limit_ticks
-    factory = (PWM_LIMIT, CURRENT_LIMIT, SHUTDOWN, STARTUP_CONFIGURATION)
+    factory = (PWM_LIMIT, CURRENT_LIMIT, TEMPERATURE_LIMIT, SHUTDOWN, STARTUP_CONFIGURATION)
     values: dict[Register, int | None] = {
         **{register: value for register, value in run_values(slot).items() if register is not OPERATING_MODE},
         SECONDARY_ID: slot.joint.ids[0] if slot.shadow else NO_SECONDARY_ID,

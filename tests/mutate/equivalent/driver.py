@@ -36,6 +36,10 @@ DRIVER: Entries = {
         ("JumpCheck.__init__", "self._jumped_rad = 0.0", "self._jumped_rad = 1.0"): _READ_AFTER_A_JUMP,
         ("JumpCheck.__init__", "self.in_a_row = 0", "pass"): "the first angle, which is always believed, sets it",
         ("JumpCheck.__init__", "self.in_a_row = 0", "self.in_a_row = 1"): "the first angle, always believed, sets it",
+        ("SpeedCheck.__init__", "self._found = 0.0", "pass"): "a speed beyond sets it before it is told",
+        ("SpeedCheck.__init__", "self._found = 0.0", "self._found = 1.0"): "a speed beyond sets it before it is told",
+        ("SpeedCheck.__init__", "self.in_a_row = 0", "pass"): "the first speed sets it",
+        ("SpeedCheck.is_beyond", "if beyond:", "if True:"): "what is told is read behind one that is beyond",
         ("EffectCheck.check", "return None", "pass"): _NONE,
         (
             "PartCheck.check",

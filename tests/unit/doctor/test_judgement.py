@@ -117,6 +117,7 @@ BREAKS: dict[Rule, Break] = {
     judge.LOW_LIMIT: put(2, table.MIN_POSITION_LIMIT, 0),
     judge.HIGH_LIMIT: put(2, table.MAX_POSITION_LIMIT, 4095),
     judge.SHUTDOWN: put(1, table.SHUTDOWN, 0),
+    judge.HEAT_LIMIT: put(4, table.TEMPERATURE_LIMIT, 81),
     **{rule: replace(put(1, rule.registers[0], 7), rig=run_before) for rule in KEPT_RAM},
 }
 EXPECTED = {
@@ -130,7 +131,7 @@ EXPECTED = {
     Consequence.ROUTINE: {judge.MODE},
     Consequence.TOLERATED: {
         judge.FAST_READ, judge.RATED_SUPPLY, judge.WARMTH, judge.PWM_LIMIT, judge.LOW_LIMIT, judge.HIGH_LIMIT,
-        judge.SHUTDOWN,
+        judge.SHUTDOWN, judge.HEAT_LIMIT,
     },
 }  # fmt: skip
 NAMES = {rule: f"{rule.name}, {rule.consequence.name.lower()}".replace(" ", "_") for rule in RULES}
