@@ -31,7 +31,7 @@ from agent.config.schema.member import Arm as ArmEntry
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.types import nearest
 from agent.config.urdf import text_of_urdf, urdf_beside
-from agent.config.urdf_joints import sliding
+from agent.config.urdf_joints import moving
 from agent.control.trajectory import Trajectory
 from drivers.dynamixel.servo.models import SERVOS, ServoModel
 from drivers.interface import Vector
@@ -212,7 +212,15 @@ def _arm(entry: ArmEntry, embedded: Mapping[str, str], source: str, arms_dir: Pa
             expected=f"joints of {entry.model}: {', '.join(by_name)}",
             remedy="correct `controlled` or `locked_rad`",
         )
-    slides = [joint for joint in by_name if joint in sliding(urdf_xml)]
+    kinds = moving(urdf_xml)
+    alone = [joint for joint in kinds if joint not in by_name]
+    if alone and by_name.keys() <= kinds.keys():  # else it is another arm's URDF, or names differ
+        raise ConfigError(
+            f"joints of arm {entry.name} ({arm_file.urdf})", found=f"{', '.join(alone)}, without a servo",
+            expected="a [[joints]] entry of the arm file for each joint that moves",
+            remedy="give it one, or make it `fixed` in the URDF",
+        )  # fmt: skip
+    slides = [joint for joint in by_name if kinds.get(joint) == "prismatic"]
     if slides:
         raise ConfigError(
             f"joints of arm {entry.name} ({arm_file.urdf})", found=f"{', '.join(slides)}, which slides",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Final
 
@@ -59,10 +60,10 @@ def _refuse_limits(joint: ET.Element, where: str, name: str, *, turns: bool) -> 
 
 
 @lru_cache(maxsize=8)  # arms of one kind
-def sliding(urdf_xml: str) -> frozenset[str]:
-    """Names of the joints of a URDF that slide."""
+def moving(urdf_xml: str) -> Mapping[str, str]:
+    """Names and kinds of the joints of a URDF that move."""
     joints = ET.fromstring(urdf_xml).iterfind("joint")
-    return frozenset(joint.get("name", "") for joint in joints if joint.get("type") == "prismatic")
+    return {joint.get("name", ""): kind for joint in joints if (kind := joint.get("type", "")) != "fixed"}
 
 
 def refuse_macros(robot: ET.Element, name: str) -> None:

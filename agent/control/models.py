@@ -109,14 +109,14 @@ class ArmModel:
         self.weightless.gravity = pin.Motion.Zero()
         self.joints = tuple(controlled)
         self.n = self.model.nv
-        if not self.model.existFrame(ee_frame):
+        if not self.model.existFrame(ee_frame, pin.FrameType.BODY):
             raise ModelError(
                 "end-effector frame",
                 found=repr(ee_frame),
                 expected=f"one of {sorted(f.name for f in self.model.frames if f.type == pin.FrameType.BODY)}",
                 remedy="name a link of the arm's URDF",
             )
-        self.ee_id = self.model.getFrameId(ee_frame)
+        self.ee_id = self.model.getFrameId(ee_frame, pin.FrameType.BODY)
         ee = self.model.frames[self.ee_id]
         self.object_id = self.model.addFrame(
             pin.Frame(

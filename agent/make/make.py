@@ -71,6 +71,7 @@ class Maker:
         joints = [[j.name for j in file.joints if SERVOS[j.servo].modes] for file in files]
         self._spatial = all(len(names) >= SPATIAL_JOINTS for names in joints)
         self._joints = [tuple(names) if self._spatial else IN_PLANE for names in joints]
+        self._refuse_other_names([{j.name for j in file.joints} for file in files])
         self._locked = [
             tuple(j.name for j in file.joints if j.name not in names)
             for file, names in zip(files, self._joints, strict=True)
@@ -175,6 +176,16 @@ class Maker:
         """The cell of this text, with the files that it names in it."""
         path, raw = self._wish.folder / f"{self._wish.name}.toml", text.encode()
         return cell_from_toml(embed(raw, tables(text), path), path.name)
+
+    def _refuse_other_names(self, named: Sequence[set[str]]) -> None:
+        for arm, joints in zip(self._wish.arms, named, strict=True):
+            lacking = [] if self._spatial else [joint for joint in IN_PLANE if joint not in joints]
+            if lacking:
+                raise WishError(
+                    f"arm {arm.name}, a {arm.model}", found=f"no joint {' or '.join(lacking)}",
+                    expected=f"{', '.join(IN_PLANE)}, which move in a plane, or {SPATIAL_JOINTS} joints with torque",
+                    remedy="name its joints so, in arm file and URDF",
+                )  # fmt: skip
 
     def _refuse_out_of_plane(self) -> None:
         if self._spatial:

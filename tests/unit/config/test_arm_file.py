@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shutil
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ import configs
 from agent.config.cell import Cell, ConfigError, cell_from_toml
 from agent.config.files import load_arm_file, load_own_arm_file
 from agent.config.servo_map import fingers_of, resting_joints
+from agent.config.urdf_joints import refuse_odd_joints
 from agent.control.models import ModelError
 from agent.verify.check import examine
 from drivers.dynamixel.arm_map import ArmMap
@@ -207,11 +209,25 @@ def test_joints_of_a_turn_and_axes_of_few_digits_are_taken(tmp_path: Path) -> No
     assert loaded(tmp_path / "b", urdf=with_joint("waist", '<axis xyz="0 0 1"/>', '<axis xyz="0 0.01 0.9999"/>')).arms
 
 
-@pytest.mark.parametrize(
-    "more", ['prismatic"><limit lower="0" upper="7" effort="1" velocity="1"/', 'fixed"><axis xyz="0 0 0"/']
-)
-def test_what_is_no_joint_that_turns_is_asked_for_what_it_needs_alone(tmp_path: Path, more: str) -> None:
-    assert loaded(tmp_path, urdf=with_joint("left_finger", 'fixed"', more)).arms
+SLIDES = 'prismatic"><limit lower="0" upper="7" effort="1" velocity="1"/'
+
+
+def test_what_is_no_joint_that_turns_is_asked_for_what_it_needs_alone(tmp_path: Path) -> None:
+    refuse_odd_joints(ET.fromstring(with_joint("left_finger", 'fixed"', SLIDES)), "wx200.urdf")
+    assert loaded(tmp_path, urdf=with_joint("left_finger", 'fixed"', 'fixed"><axis xyz="0 0 0"/')).arms
+
+
+def test_a_joint_that_moves_and_has_no_servo_is_refused_with_the_one_way_out(tmp_path: Path) -> None:
+    """The cell was to lock it, and then to leave it out."""
+    with pytest.raises(ConfigError, match=r"found left_finger, without a servo, .*give it one, or make it `fixed`"):
+        loaded(tmp_path, urdf=with_joint("left_finger", 'fixed"', SLIDES))
+
+
+@pytest.mark.parametrize("frame", ["wrist_angle", "ee_mount"])
+def test_the_name_of_a_joint_is_no_end_effector_frame(tmp_path: Path, frame: str) -> None:
+    cell = loaded(tmp_path, arm=arm_with('ee_frame = "ee"', f'ee_frame = "{frame}"'))
+    with pytest.raises(ModelError, match=rf"end-effector frame, .*found '{frame}', expected one of .*name a link"):
+        cell.model(cell.arms[0])
 
 
 def with_inertia(xx: float, yy: float, zz: float, xy: float = 0.0, xz: float = 0.0, yz: float = 0.0) -> str:

@@ -201,6 +201,14 @@ def test_an_arm_file_stands_in_place_of_a_model_and_the_cell_names_it_as_it_is_f
     assert cell.fingerprint == found.cell.fingerprint
 
 
+def test_arms_in_a_plane_with_joints_of_other_names_are_refused_with_those_that_are_needed(own: Path) -> None:
+    for file in (own, own.with_suffix(".urdf")):
+        file.write_text(file.read_text().replace("wrist_angle", "wrist"))
+    which = wish([str(own)], 0.1, (0.2, 0.03, 0.03), height=0.2)
+    with pytest.raises(WishError, match=r"a ours: found no joint wrist_angle, expected .*name its joints so"):
+        Maker(which)
+
+
 def test_an_arm_file_that_is_none_or_lacks_its_urdf_is_refused_with_what_to_do(own: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.toml: found No such file.* give the path of an arm file"):
         arm_wishes([f"{own.parent}/none.toml"])
