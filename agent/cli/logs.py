@@ -140,14 +140,14 @@ def identify(
     from agent.identify.equations import Options
     from agent.identify.run import identify as identify_log
     from agent.identify.run import write
-    from agent.identify.show import delay_line, estimates_table, friction_lines, residual_lines
+    from agent.identify.show import delay_line, estimates_table, friction_lines, residual_lines, scale_lines
 
     with Steps() as step:
         result = identify_log(log, arm, Options(cutoff_hz, slow_rad_per_s), tell=step)
         step("writing")
         files = write(result, out or log.parent, replace=force)
     console().print(estimates_table(result))
-    typer.echo("\n".join([*friction_lines(result), *residual_lines(result), delay_line(result)]))
+    typer.echo("\n".join([*friction_lines(result), *scale_lines(result), *residual_lines(result), delay_line(result)]))
     typer.echo(f"arm file {files.arm}\nfigure   {files.figure}\nall      {files.summary}")
 
 

@@ -63,6 +63,10 @@ class Motion:
         raw = raw_columns(self.dq, self.recording.tau, SMOOTH * self.options.slow_rad_per_s, shapes)
         return Columns({name: self._filtered(column) for name, column in raw})
 
+    def acted(self) -> Matrix:
+        """(k, n) the torque that acted, N·m."""
+        return self._filtered(self.recording.tau)
+
     def later(self, delay_s: float) -> Matrix:
         """(k, n) by how much the torque is another one if this is the loop's delay, N·m."""
         believed = self.recording.delayed(self.recording.delay_s)

@@ -23,6 +23,7 @@ from agent.identify.equations import BLOCKS_MIN, Motion, Options, equations, too
 from agent.identify.friction import CERTAIN, LOAD, SHAPES, Choice, Shape, Term, choose, clearly_larger
 from agent.identify.joint import LONGEST_PERIODS, Found, joined_with, together
 from agent.identify.recording import IdentifyError, Recording
+from agent.identify.scales import Scales, in_own_units, of_own_units, one_unit, scales_of
 from agent.identify.solve import BLOCK_S, Part, least_squares
 from drivers.interface import Vector
 
@@ -54,6 +55,7 @@ class Fit:
     speed_sigma: float  # standard error of its Stribeck velocity, rad/s
     sticking: tuple[Term, ...]  # (key of the arm file, joint) of the last of `value`, behind the base's
     delay: Delay | None  # of the loop
+    scales: Scales  # of the joints' torques
 
 
 def fit(recording: Recording, options: Options) -> Fit:
@@ -72,13 +74,16 @@ def fit(recording: Recording, options: Options) -> Fit:
     return found
 
 
-def _fit(recording: Recording, options: Options) -> Fit:
+def _fit(recorded: Recording, options: Options) -> Fit:
     """Identify the arm with the delay that the recording says."""
-    model = recording.cell.model(recording.arm)
+    model = recorded.cell.model(recorded.arm)
     base = base_of(model)
+    part, _ = _split(equations(recorded, model, base, options), options.held_out)
+    _refuse_too_little(part, base, recorded, options)
+    scales = scales_of(part, Motion.of(recorded, options), base)
+    recording = one_unit(recorded, scales.taken)
     motion = Motion.of(recording, options)
     train, held_out = _split(equations(recording, model, base, options), options.held_out)
-    _refuse_too_little(train, base, recording, options)
     condition = least_squares(train)[2]
     choice = _chosen(train, motion)
     filtered = _others(recording, model, base, options)
@@ -93,21 +98,24 @@ def _fit(recording: Recording, options: Options) -> Fit:
     described = np.concatenate(
         [base.combination @ described_parameters(recording.arm, model), _described(recording, sticking)]
     )
+    by = in_own_units(scales.taken, base, sticking)
+    held_out, value = of_own_units(held_out, scales.taken, by), by * found.value
     return Fit(
         base=base,
-        value=found.value,
-        sigma=np.sqrt(found.sigma**2 + sum(m**2 for m in moved)),
+        value=value,
+        sigma=by * np.sqrt(found.sigma**2 + sum(m**2 for m in moved)),
         described=described,
         condition=condition,
         used=train.used.mean(axis=0),
         held_out=held_out,
-        residual=_rms(held_out, found.value),
+        residual=_rms(held_out, value),
         residual_described=_rms(held_out, described),
-        torque=_rms(held_out, np.zeros_like(found.value)),
+        torque=_rms(held_out, np.zeros_like(value)),
         choice=choice,
         speed_sigma=math.hypot(found.speed_sigma, *(one.speed - found.speed for one in others)),
         sticking=sticking,
         delay=delay,
+        scales=scales,
     )
 
 

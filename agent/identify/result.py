@@ -83,6 +83,12 @@ class Identified:
                 for j, name in enumerate(arm.entry.controlled)
             ],
             "friction_model": {"name": fit.choice.name, "reason": fit.choice.reason},
+            "torque_scales": [
+                {"joint": name, "value": float(v), "sigma": float(s) if np.isfinite(s) else None, "taken": float(t)}
+                for name, v, s, t in zip(
+                    arm.entry.controlled, fit.scales.value, fit.scales.sigma, fit.scales.taken, strict=True
+                )
+            ],
             "loop_delay": None if fit.delay is None else fit.delay._asdict(),
             "figures": [asdict(f) for f in self.figures],
             "base_parameters": [

@@ -41,6 +41,18 @@ def friction_lines(result: Identified) -> list[str]:
     return [f"friction model: {choice.name}", *(f"  {reason}" for reason in choice.reason.split("; "))]
 
 
+def scale_lines(result: Identified) -> list[str]:
+    """Joints whose torque is another part of what they are asked for than that of the joint that bears most."""
+    scales, joints = result.fit.scales, result.recording.arm.entry.controlled
+    most = joints[int(np.argmin(scales.sigma))]
+    return [
+        f"torque: {name} is asked for {value:.3f} ± {sigma:.1g} times what links that {most} bears would ask of it: a "
+        "torque constant is off by that; the figures of each are in its own torque"
+        for name, value, sigma, taken in zip(joints, scales.value, scales.sigma, scales.taken, strict=True)
+        if taken != 1.0
+    ]
+
+
 def delay_line(result: Identified) -> str:
     """What the recording says of the loop's delay."""
     delay = result.fit.delay

@@ -16,9 +16,9 @@ from agent.identify.equations import Options
 from agent.identify.fit import Fit, fit
 from agent.identify.recording import Recording
 from agent.identify.result import Outcome, identified
-from agent.identify.show import estimates_table, residual_lines, validation_figure
+from agent.identify.show import estimates_table, residual_lines, scale_lines, validation_figure
 from drivers.interface import Vector
-from tests.support.identify_rig import from_plant
+from tests.support.identify_rig import from_plant, recorded
 
 KEYS = ("rotor_inertia_kg_m2", "coulomb_Nm", "viscous_Nm_s_per_rad")
 
@@ -151,6 +151,55 @@ def test_what_is_shown_names_every_figure_and_every_gravity_parameter(known: Kno
     assert [ax.get_title(loc="left") for ax in panels[::2]] == arm.entry.controlled
     summary = result.summary()
     assert [p["name"] for p in summary["base_parameters"]] == list(known.fit.base.names)
+
+
+UNLIKE = (0.97, 1.08, 1.0)
+
+
+@pytest.fixture(scope="module")
+def unlike() -> tuple[Recording, Fit]:
+    """A run of servos whose torque constants are off by different factors, as those of no two servos are alike."""
+    name = configs.CELLS_DIR / "identify_wx200.toml"
+    real = load_cell(name, [*SHORTER, f"simulation.reality.arms.arm.torque_constant={list(UNLIKE)}"])
+    recording = recorded(real, load_cell(name, SHORTER))
+    return recording, fit(recording, Options())
+
+
+def test_servos_of_unlike_torque_constants_are_told_apart_and_no_friction_is_made_up(
+    unlike: tuple[Recording, Fit],
+) -> None:
+    """Breakaway was, and no friction was certain enough to be written; the elbow bears most."""
+    recording, found = unlike
+    assert found.choice.name == "Coulomb and viscous"
+    scales = found.scales
+    assert scales.sigma[1] == 0.0
+    assert scales.taken == pytest.approx([1.08 / 0.97, 1.0, 1.08], abs=4e-3)
+    assert np.all(np.abs(scales.value - [1.08 / 0.97, 1.0, 1.08]) <= 3.5 * scales.sigma)
+    for j, servo in enumerate(recording.arm.servos):
+        for i, true in (
+            (found.base.coulomb(j), servo.coulomb_Nm.value),
+            (found.base.viscous(j), servo.viscous_Nm_s_per_rad.value),
+        ):
+            assert found.value[i] == pytest.approx(true / UNLIKE[j], rel=0.02), "in the torque that is commanded"
+            assert abs(found.value[i] - true / UNLIKE[j]) < 3.0 * found.sigma[i]
+        rotor = found.base.rotor(j)
+        assert found.value[rotor] == pytest.approx(found.described[rotor] / UNLIKE[j], rel=0.08)
+    part = found.held_out
+    rest = np.where(part.used, part.tau - part.columns @ found.value, 0.0)
+    assert np.sqrt((rest**2).sum(axis=0) / part.used.sum(axis=0)) == pytest.approx(found.residual)
+    assert np.all(found.residual < 0.02 * found.torque + 2e-3)
+
+
+def test_unlike_torque_constants_are_said_and_alike_ones_are_not(unlike: tuple[Recording, Fit], known: Known) -> None:
+    recording, found = unlike
+    result = identified(recording, Options(), found)
+    lines = scale_lines(result)
+    assert [line.split()[1] for line in lines] == ["shoulder", "wrist_angle"]
+    assert "is asked for 1.11" in lines[0]
+    told = result.summary()["torque_scales"]
+    assert [scale["joint"] for scale in told] == ["shoulder", "elbow", "wrist_angle"]
+    assert [scale["taken"] for scale in told] == found.scales.taken.tolist()
+    assert scale_lines(_result(known)) == []
 
 
 def _result(known: Known):  # type: ignore[no-untyped-def]
