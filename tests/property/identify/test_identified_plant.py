@@ -159,9 +159,9 @@ UNLIKE = (0.97, 1.08, 1.0)
 @pytest.fixture(scope="module")
 def unlike() -> tuple[Recording, Fit]:
     """A run of servos whose torque constants are off by different factors, as those of no two servos are alike."""
-    name = configs.CELLS_DIR / "identify_wx200.toml"
-    real = load_cell(name, [*SHORTER, f"simulation.reality.arms.arm.torque_constant={list(UNLIKE)}"])
-    recording = recorded(real, load_cell(name, SHORTER))
+    name, heavy = configs.CELLS_DIR / "identify_wx200.toml", (*SHORTER, "object.mass_kg=0.25")
+    real = load_cell(name, [*heavy, f"simulation.reality.arms.arm.torque_constant={list(UNLIKE)}"])
+    recording = recorded(real, load_cell(name, heavy))
     return recording, fit(recording, Options())
 
 
