@@ -28,6 +28,7 @@ PART_WORTH_A = 0.3
 PART_SPEED = 0.1  # of the no-load speed: so much less is what back-EMF takes
 JUMP_SPEED = 1.25  # of the no-load speed at 12 V: what 14.8 V gives
 JUMP_RAD = ticks_rad(4)
+BELIEVED_SPEED = 1.6  # of the no-load speed at 12 V, of a speed that is read: somebody who pushes hard makes 1.4
 PAIR_FIGHT_A = 0.2
 PAIR_FIGHT_S = 0.1
 PAIR_APART_RAD = ticks_rad(40)  # 3.5 degrees; backlash is 0.25
@@ -133,7 +134,7 @@ class SpeedCheck:
 
     def __init__(self, slot: ServoSlot) -> None:
         self.slot = slot
-        self._most = JUMP_SPEED * slot.model.no_load_rad_per_s
+        self._most = BELIEVED_SPEED * slot.model.no_load_rad_per_s
         self._found = 0.0
         self.in_a_row = 0
 

@@ -123,7 +123,7 @@ def test_a_position_that_cannot_be_is_stale_once_and_a_fault_twice() -> None:
 def test_a_speed_that_cannot_be_is_stale_once_and_a_fault_twice_and_no_torque_is_made_of_it(sign: int) -> None:
     """Of an intact answer; the position beside it is as it was, and is believed again with the next."""
     bench = Bench()
-    most = 1.25 * WX200.slots[3].model.no_load_rad_per_s
+    most = 1.6 * WX200.slots[3].model.no_load_rad_per_s
     bench.read(rows(s4=(0, 40, sign * int(most / SPEED_UNIT), 2052)))
     assert bench.interpreter.dq[1] == pytest.approx(sign * most, rel=0.01)
     beyond = (0, 40, sign * (int(most / SPEED_UNIT) + 1), 2052)
