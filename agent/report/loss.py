@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.log.columns import Table
 from agent.modes import Mode
 from agent.report.arithmetic import NAN, most
 from agent.report.numbers import instant, number
@@ -97,7 +98,7 @@ def loss_of(run: Prepared) -> Loss | None:
     slipped, slip_m, slip_rad = dict[str, float](), dict[str, float](), dict[str, float]()
     for i, arm in enumerate(run.info.arms):
         largest[arm.name] = most(component(run.grasps.plant, "contact_error_m", i)[carried])
-        by_m, by_rad = (component(run.grasps.plant, name, i)[carried] for name in ("slip_m", "slip_rad"))
+        by_m, by_rad = (_slip(run.grasps.plant, name, i)[carried] for name in ("slip_m", "slip_rad"))
         slip_m[arm.name], slip_rad[arm.name] = most(by_m), most(by_rad)
         seen = (by_m > SLIPPED_M) | (by_rad > SLIPPED_RAD)
         if seen.any():
@@ -135,6 +136,14 @@ def told(run: Prepared) -> list[Event]:
         Event(int(utc_ns[np.argmin(np.abs(t - when))]), PLANT, level, text, {"t": when})
         for when, level, text in sorted(found)
     ]
+
+
+def _slip(plant: Table, name: str, arm: int) -> Array:
+    """(k,) how far a grasp has slipped; NaN in rows of a release in which none could."""
+    try:
+        return component(plant, name, arm)
+    except KeyError:
+        return np.full(len(plant), NAN)
 
 
 def _off(true: PoseSeries) -> tuple[Array, Array]:

@@ -39,6 +39,7 @@ CURVES_HZ: Final = 10.0  # instants of the curves; they are sent twice a second
 CURVES_SENT_S: Final = 0.5
 EVENTS_SHOWN: Final = 6
 OTHER_CELL: Final = "Rows are of another cell file, or of one with other values (`--set`, `--duration`)."
+SILENT_S: Final = 1.0  # without a row, after which an arm is shown as one that has none
 _SAME_CLOCK_S: Final = 2.0  # rows whose UTC is further from now are not of the wall's time
 _PAYLOAD_BYTES_MAX: Final = 1 << 18
 
@@ -65,7 +66,7 @@ class Intake:
 
     def __init__(self, cell: CellFiles) -> None:
         self.refused = 0
-        self.other_cell = False  # rows of another cell file than this one came
+        self._other = set[str]()  # members whose last row is of another cell file than this one
         self.events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
         self.news = threading.Event()
         self._config_id = cell.config_id
@@ -74,6 +75,12 @@ class Intake:
         self._rows = {Address(cell.file.name, member, Kind.STATE).key: member for member in members}
         self._texts = {Address(cell.file.name, member, Kind.EVENT).key for member in members}
         self._latest: dict[str, NDArray[np.void]] = {}
+        self._came_s: dict[str, float] = {}
+
+    @property
+    def other_cell(self) -> bool:
+        """Whether rows of another cell file than this one come."""
+        return bool(self._other)
 
     def put(self, key: str, payload: bytes) -> None:
         """Take a message; what is no row and no event of this cell is counted."""
@@ -81,9 +88,12 @@ class Intake:
             self._put_rows(self._rows[key], payload)
         elif key in self._texts and payload:
             try:
-                self.events.append(Event.from_json(payload))
+                event = Event.from_json(payload)
             except ValueError:
                 self.refused += 1
+                return
+            if event not in self.events:  # one that may have been lost is sent again
+                self.events.append(event)
 
     def _put_rows(self, member: str, payload: bytes) -> None:
         dtype = PLANT_STATE.dtype if member == PLANT else AGENT_STATE.dtype
@@ -97,9 +107,25 @@ class Intake:
         if not fits or (member != PLANT and int(last["joint_count"][0]) != self._joints[member]):
             self.refused += 1
             return
-        self.other_cell = self.other_cell or int(last["config_id"][0]) != self._config_id
-        self._latest[member] = last
+        if self._is_old(member, last):
+            return
+        if int(last["config_id"][0]) == self._config_id:
+            self._other.discard(member)
+        else:
+            self._other.add(member)
+        self._latest[member], self._came_s[member] = last, time.monotonic()
         self.news.set()
+
+    def _is_old(self, member: str, row: NDArray[np.void]) -> bool:
+        """A row that a recorder had missed comes behind newer ones; after a silence any row is one of another run."""
+        before = self._latest.get(member)
+        late = before is not None and row["utc_ns"][0] < before["utc_ns"][0]
+        return bool(late) and time.monotonic() - self._came_s[member] < SILENT_S
+
+    def silent(self) -> frozenset[str]:
+        """Members of which a row came once, and none for a while."""
+        now_s = time.monotonic()
+        return frozenset(member for member, came_s in self._came_s.copy().items() if now_s - came_s > SILENT_S)
 
     def latest(self) -> Mapping[str, NDArray[np.void]]:
         """The newest row (1,) of each member that has told one."""
@@ -151,7 +177,7 @@ def serve(
     """Serve the live page until a stop; `ready` is told its address.  Raises Refusal."""
     intake, drawing = Intake(cell), drawing_of_cell(cell)
     lags: deque[float] = deque(maxlen=100_000)
-    pictures = 0
+    pictures, silent = 0, frozenset[str]()
     with open_session(network) as opened:
         subscriber = opened.session.declare_subscriber(
             topics.cell_keys(cell.file.name),
@@ -163,14 +189,17 @@ def serve(
             ready(server.address)
             while not stop():
                 began_s = time.monotonic()
-                if intake.news.wait(0.1):
-                    rows = intake.latest()
-                    motion = motion_now({a.name: rows[a.name] for a in drawing.arms if a.name in rows}, rows.get(PLANT))
+                came, now_silent = intake.news.wait(0.1), intake.silent()
+                if came or now_silent != silent:
+                    rows, silent = intake.latest(), now_silent
+                    seen = {arm.name: rows[arm.name] for arm in drawing.arms if arm.name in rows}
+                    motion = motion_now(seen, rows.get(PLANT), silent)
                     if motion is not None:
                         note = OTHER_CELL if intake.other_cell else ""
                         page.show(motion, list(intake.events), note, began_s)
                         pictures += 1
-                        lags.append(1e-9 * (time.time_ns() - max(int(r["utc_ns"][0]) for r in rows.values())))
+                        if came:
+                            lags.append(1e-9 * (time.time_ns() - max(int(r["utc_ns"][0]) for r in rows.values())))
                 time.sleep(max(0.0, 1.0 / PICTURES_HZ - (time.monotonic() - began_s)))
         finally:
             subscriber.undeclare()  # type: ignore[no-untyped-call]

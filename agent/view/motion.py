@@ -5,7 +5,7 @@ An instant at which an arm has no row shows the arm's last one before it, and `f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Final
 
@@ -83,8 +83,13 @@ def motion_of(run: Prepared, pictures_hz: float = PICTURES_HZ, begin_s: float = 
     return Motion(t, arms, true)
 
 
-def motion_now(arms: Mapping[str, NDArray[np.void]], plant: NDArray[np.void] | None) -> Motion | None:
-    """One instant of a run that goes on, from the newest row (1,) of each arm and of the plant; None without an arm."""
+def motion_now(
+    arms: Mapping[str, NDArray[np.void]], plant: NDArray[np.void] | None, silent: Collection[str] = ()
+) -> Motion | None:
+    """One instant of a run that goes on, from the newest row (1,) of each arm and of the plant; None without an arm.
+
+    silent: arms of which no row has come for a while: what is seen of them is not of now.
+    """
     if not arms:
         return None
     t = np.array([max(float(rows["t"][0]) for rows in arms.values())])
@@ -93,6 +98,7 @@ def motion_now(arms: Mapping[str, NDArray[np.void]], plant: NDArray[np.void] | N
         name: _arm(Table.of(rows), t, np.inf, int(rows["joint_count"][0]), beside_truth=seen)
         for name, rows in arms.items()
     }
+    own |= {name: replace(own[name], fresh=np.zeros(1, np.bool_)) for name in silent if name in own}
     if plant is None:
         return Motion(t, own, None)
     some = Table.of(plant)

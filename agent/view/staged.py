@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from agent.log.collect import Needs
+from agent.log.when import STARTED_S
 from agent.modes import Mode
 from agent.report.moments import Moment
 from agent.report.prepared import Prepared
@@ -63,7 +64,8 @@ def status_text(motion: Motion, row: int, moments: Sequence[Moment] = ()) -> str
     """What is said of an instant: its time, the modes, and what of weight happened just before."""
     weighty = [moment for moment in moments if moment.weighty]
     told = "".join(f" · {moment.source}: {shortened(moment.text)}" for moment in weighty[:2])
-    return f"t = {motion.t[row]:.1f} s · {modes_at(motion, row)}{told}"
+    instant = f"t = {motion.t[row]:.1f} s" if motion.t[row] > STARTED_S else "not started"
+    return f"{instant} · {modes_at(motion, row)}{told}"
 
 
 def shortened(text: str) -> str:

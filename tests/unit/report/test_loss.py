@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from agent.log.read import RunLog
 from agent.modes import Mode
 from agent.report.errors import apart_by_pair
-from agent.report.loss import LOST_M, LOST_RAD, SLIPPED_M, is_lost, opened_s, told
+from agent.report.loss import LOST_M, LOST_RAD, SLIPPED_M, is_lost, loss_of, opened_s, told
 from agent.report.metrics import summarise
 from agent.report.moments import moments_of
 from agent.report.page import render
@@ -222,3 +223,17 @@ def test_lost_is_farther_than_a_tenth_of_a_metre_or_turned_by_more_than_a_radian
 
 def test_a_study_goes_by_the_criterion_of_the_report() -> None:
     assert measure.is_lost is is_lost
+
+
+def test_a_log_of_a_release_in_which_no_grasp_slipped_has_no_slip(tmp_path: Path) -> None:
+    """`coop view` of one ended in a traceback."""
+    log = dropped()
+    assert log.plant is not None
+    names = [name for name in log.plant.dtype.names or () if name not in ("slip_m", "slip_rad")]
+    older = np.zeros(len(log.plant), [(name, log.plant.dtype[name]) for name in names])
+    for name in names:
+        older[name] = log.plant[name]
+    found = loss_of(prepare(replace(log, plant=older)))
+    assert found is not None
+    assert found.grasp_slip_s == {}
+    assert found.grasp_open_s == {"right": OPENED_AT / RATE_HZ}

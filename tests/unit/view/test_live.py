@@ -14,11 +14,14 @@ from tests.support.view_run import view_log
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
+from agent.modes import Mode
+from agent.view import live
 from agent.view.drawing import drawing_of_cell
-from agent.view.live import CURVES_SENT_S, EVENTS_SHOWN, Intake, LivePage, LiveReport, _start
+from agent.view.live import CURVES_SENT_S, EVENTS_SHOWN, SILENT_S, Intake, LivePage, LiveReport, _start
 from agent.view.motion import Motion, motion_now
 from agent.view.scene import OBJECT
 from agent.view.server import Server
+from agent.view.staged import modes_at, status_text
 
 LEFT = "coop/paper/left/state"
 
@@ -120,3 +123,57 @@ def test_the_page_moves_with_the_rows_and_its_curves_begin_again_with_another_ru
         assert [motion.t[0] for motion in page._past] == [0.5]
     finally:
         server.stop()
+
+
+def test_an_arm_of_which_no_row_comes_is_said_to_have_none(cell: CellFiles, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dead arm was shown in TRACK for as long as somebody looked."""
+    now = [100.0]
+    monkeypatch.setattr(live.time, "monotonic", lambda: now[0])
+    intake = Intake(cell)
+    for name in ("left", "right"):
+        intake.put(f"coop/paper/{name}/state", rows(mode=Mode.TRACK).tobytes())
+    assert intake.silent() == frozenset()
+    now[0] += SILENT_S + 0.1
+    intake.put(LEFT, rows(mode=Mode.TRACK, utc_ns=2**62).tobytes())
+    assert intake.silent() == {"right"}
+    motion = motion_now(intake.latest(), None, intake.silent())
+    assert motion is not None
+    assert modes_at(motion, 0) == "left TRACK, right TRACK (no row)"
+
+
+def test_rows_that_come_late_are_not_the_newest_unless_nothing_came_for_a_while(
+    cell: CellFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recorder that is back gets what it missed; so does another run, after a moment."""
+    now = [100.0]
+    monkeypatch.setattr(live.time, "monotonic", lambda: now[0])
+    intake = Intake(cell)
+    new, old = rows(utc_ns=2_000_000_000, t=9.0), rows(utc_ns=1_000_000_000, t=3.0)
+    for given, shown in ((old, 3.0), (new, 9.0), (old, 9.0)):
+        intake.put(LEFT, given.tobytes())
+        assert intake.latest()["left"]["t"][0] == shown
+    now[0] += SILENT_S + 0.1
+    intake.put(LEFT, old.tobytes())
+    assert intake.latest()["left"]["t"][0] == 3.0
+
+
+def test_another_cell_is_told_of_as_long_as_its_rows_come(cell: CellFiles) -> None:
+    intake = Intake(cell)
+    intake.put(LEFT, rows(config_id=1, utc_ns=1).tobytes())
+    assert intake.other_cell
+    intake.put(LEFT, rows(config_id=cell.config_id, utc_ns=2).tobytes())
+    assert not intake.other_cell
+
+
+def test_an_event_that_is_sent_again_is_shown_once(cell: CellFiles) -> None:
+    intake = Intake(cell)
+    event = Event(1, "left", Level.INFO, "torque on")
+    for _ in range(2):
+        intake.put("coop/paper/left/event", event.to_json())
+    assert list(intake.events) == [event]
+
+
+def test_before_a_start_no_time_is_said(cell: CellFiles) -> None:
+    motion = motion_now({"left": rows(1, t=-86_397.6)}, None)
+    assert motion is not None
+    assert status_text(motion, 0).startswith("not started · ")
