@@ -26,6 +26,7 @@ from agent.telemetry.row.topics import PLANT, RECORDER, Address, BadName, Kind
 
 _STRETCH_ROWS: Final = 2048
 _LONGER_NS: Final = 1e18  # than any log is: thirty years
+SUSPENDED_S: Final = 1.0  # a cycle that took longer was none: whoever was suspended goes on where he was
 
 
 def _nothing() -> Sequence[Order]:
@@ -147,8 +148,9 @@ def _row_track(address: Address, rows: Table) -> _Track:
     return _Track(address, np.maximum.accumulate(rows["utc_ns"]), messages, max(1, BATCH_BYTES_MAX // size))
 
 
-def _event_track(address: Address, events: list[Event]) -> _Track:
-    times = np.array([event.utc_ns for event in events], np.int64)
+def _event_track(address: Address, events: list[Event], first_ns: int, last_ns: int) -> _Track:
+    """Events at their time; what is told before the first row, or after the last one, comes with that."""
+    times = np.clip(np.array([event.utc_ns for event in events], np.int64), first_ns, last_ns)
     return _Track(address, times, lambda a, b: b"".join(event.to_json() for event in events[a:b]), 1)
 
 
@@ -173,8 +175,16 @@ def _tracks(options: PlayOptions, log: ColumnLog) -> list[_Track]:
         _row_track(Address(log.cell, member, Kind.STATE), rows[(utc_ns >= first_ns) & (utc_ns <= last_ns)])
         for (member, rows), utc_ns in zip(members.items(), utc, strict=True)
     ]
+    begin_ns, end_ns = int(times.min()), int(times.max())
+    before, after = first_ns <= begin_ns, last_ns >= end_ns  # with what was told before the first row, behind the last
     for address, events in _by_source(log.cell, log.events).items():
-        tracks.append(_event_track(address, [e for e in events if first_ns <= e.utc_ns <= last_ns]))
+        some_events = [e for e in events if (before or e.utc_ns >= first_ns) and (after or e.utc_ns <= last_ns)]
+        tracks.append(_event_track(address, some_events, begin_ns, end_ns))
+    if not any(len(track.times) for track in tracks):
+        raise LogError(
+            f"nothing to play of {options.path}", found=f"nothing from {options.start_s:g} s to {stop_s:g} s",
+            expected="some", remedy="correct the options",
+        )  # fmt: skip
     return tracks
 
 
@@ -209,9 +219,9 @@ class _Player:
         """Play from where it stands to the end; returns rows and events published."""
         before_s, head = time.monotonic(), self.head
         rows = events = 0
-        while not stop() and not head.quit and not all(track.done for track in self._tracks):
+        while not stop() and not head.quit and (head.paused or not all(track.done for track in self._tracks)):
             now_s = time.monotonic()
-            head.pass_time(now_s - before_s)
+            head.pass_time(min(now_s - before_s, SUSPENDED_S))
             before_s = now_s
             for order in (*self._options.orders(), None):
                 if order is not None and head.take(order, self._next_s()):

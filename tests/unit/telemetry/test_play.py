@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
 from agent.log.columns import Table
-from agent.telemetry.link.play import _STRETCH_ROWS, _Messages
+from agent.log.read import LogError, RunLog
+from agent.telemetry.link.play import _STRETCH_ROWS, PlayOptions, _Messages, _tracks
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.topics import Address, Kind
+from tests.support.telemetry.synthetic_run import as_log, run_file
 from tests.support.telemetry.telemetry_cell import make_rows
+from tests.support.view_run import view_log
 
 COUNT = 2 * _STRETCH_ROWS + 300
 
@@ -22,3 +30,35 @@ def test_messages_are_the_rows_in_their_order_and_again_after_a_rewind(batch: in
 
 def test_nothing_is_no_message() -> None:
     assert _Messages(Table.of(make_rows("left", 0)))(0, 0) == b""
+
+
+def played(log: RunLog, **options: object) -> dict[str, list[int]]:
+    """UTC, ns, at which each track plays."""
+    columns = replace(log, agents={name: Table.of(rows) for name, rows in log.agents.items()})
+    tracks = _tracks(PlayOptions(path=log.path, **options), columns)  # type: ignore[arg-type]
+    return {track.key: track.times.tolist() for track in tracks}
+
+
+def told(utc_ns: int) -> Event:
+    return Event(utc_ns, "left", Level.INFO, f"at {utc_ns}")
+
+
+def test_what_was_told_before_the_first_row_and_after_the_last_comes_with_these(tmp_path: Path) -> None:
+    """How a run ended is told behind its last row, and was not played."""
+    rows = view_log(1.0).agents["left"]
+    first, last = int(rows["utc_ns"][0]), int(rows["utc_ns"][-1])
+    middle = (first + last) // 2
+    log = replace(
+        as_log(tmp_path / "run.mcap", {"left": rows}, None, run_file()),
+        events=[*map(told, (first - 9, middle, last + 9))],
+    )
+    key = Address(log.cell, "left", Kind.EVENT).replay_key
+    assert played(log)[key] == [first, middle, last]
+    assert played(log, start_s=0.1)[key] == [middle, last]
+    assert played(log, stop_s=0.4)[key] == [first, middle]
+
+
+def test_seconds_in_which_nothing_is_are_refused(tmp_path: Path) -> None:
+    log = as_log(tmp_path / "run.mcap", {"left": view_log(1.0).agents["left"]}, None, run_file())
+    with pytest.raises(LogError, match=r"nothing to play of .*: found nothing from 0\.0012 s to 0\.0013 s"):
+        played(log, start_s=0.0012, stop_s=0.0013)
