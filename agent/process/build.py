@@ -15,7 +15,7 @@ from agent.config.servo_map import arm_map
 from agent.guard.guarded import Guarded
 from agent.guard.line import GuardError
 from agent.guard.pulse import SHARED_S
-from agent.process.commands import Connection, ServoLine
+from agent.process.commands import AgentOptions, Connection, ServoLine
 from agent.process.rehearse import bridge, in_the_loop
 from agent.telemetry.ring.writer import RingWriter
 from drivers.clock import MonotonicClock
@@ -69,7 +69,9 @@ def build_driver(
                 f"driver of arm {arm.name}", found="no plant socket", expected="the socket of the cell's plant",
                 remedy="give --plant-socket",
             )  # fmt: skip
-        sim = SimDriver(connection.plant_socket, arm.name, tuple(arm.entry.controlled), cell.config_id)
+        joints = tuple(arm.entry.controlled)
+        lockstep = connection.lockstep if isinstance(connection, AgentOptions) else None
+        sim = SimDriver(connection.plant_socket, arm.name, joints, cell.config_id, lockstep=lockstep)
         return sim, sim.clock
     rehearses = in_the_loop(cell, arm.name)
     if rehearses and connection.plant_socket is None:

@@ -71,6 +71,7 @@ class SimDriver:
         joints: tuple[str, ...],
         config_id: int,
         *,
+        lockstep: bool | None = None,  # how the arm's loop goes; None: as the plant does
         connect_timeout_s: float = CONNECT_TIMEOUT_S,
         start_timeout_s: float = 60.0,  # for the first state: the other arms may still be starting
         read_timeout_s: float | None = None,  # None: 30 s in lockstep, five periods in real time
@@ -81,6 +82,7 @@ class SimDriver:
         self._arm = arm
         self._joints = joints
         self._config_id = config_id
+        self._wanted_lockstep = lockstep
         self._connect_timeout_s = connect_timeout_s
         self._start_timeout_s = start_timeout_s
         self._given_read_timeout_s = read_timeout_s
@@ -103,7 +105,9 @@ class SimDriver:
                 f"arm {self._arm}", found="an open connection", expected="a closed driver", remedy="close() it first"
             )
         joints = list(self._joints)
-        hello = words(MessageKind.HELLO, version=VERSION, arm=self._arm, config_id=self._config_id, joints=joints)
+        paced = {} if self._wanted_lockstep is None else {"lockstep": self._wanted_lockstep}
+        known = {"arm": self._arm, "config_id": self._config_id, "joints": joints}
+        hello = words(MessageKind.HELLO, version=VERSION, **known, **paced)
         link = self._new_link()
         try:
             info: dict[str, Any] = link.introduce(hello, self._connect_timeout_s)

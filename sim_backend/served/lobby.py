@@ -147,6 +147,12 @@ class Lobby:
 
     def _check(self, seat: Seat, hello: dict[str, object]) -> None:
         name = seat.arm.name
+        if hello.get("lockstep") not in (None, self._info["lockstep"]):
+            raise ConnectError(
+                f"pace of arm {name}", found="an agent in " + ("lockstep" if hello["lockstep"] else "real time"),
+                expected="one in " + ("lockstep" if self._info["lockstep"] else "real time") + ", as the plant",
+                remedy="give --real-time to plant and agents, or to none of them",
+            )  # fmt: skip
         if hello.get("config_id") != self._config_id:
             raise ConnectError(
                 f"cell of arm {name}",

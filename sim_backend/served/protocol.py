@@ -23,7 +23,7 @@ HEADER: Final = struct.Struct("=qqq")  # kind, number (tick or serial), stamp_ns
 class MessageKind(IntEnum):
     """First field of every message."""
 
-    HELLO = 1  # agent, words: version, arm, config_id, joints; of a guest also watchdog_s
+    HELLO = 1  # agent, words: version, arm, config_id, joints; perhaps lockstep; of a guest watchdog_s
     INFO = 2  # plant, words: lockstep, rate_hz, utc_offset_ns (UTC minus its clock), limits
     REFUSED = 3  # plant, words: a Refusal; the connection ends
     POLL = 4  # agent: tell me the state now; number = serial

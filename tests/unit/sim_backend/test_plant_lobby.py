@@ -182,3 +182,13 @@ def test_driver_connects_once(tmp_path: Path) -> None:
         left.connect()
         with pytest.raises(ConnectError, match="found an open connection"):
             left.connect()
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_an_agent_of_another_pace_than_the_plants_is_refused(tmp_path: Path, lockstep: bool) -> None:
+    """Its arm was READY, took a start, and never moved; status had nothing against it."""
+    with ServedPlant(tmp_path, lockstep=lockstep) as served:
+        with pytest.raises(ConnectError, match="give --real-time to plant and agents, or to none of them") as caught:
+            served.driver(lockstep=not lockstep).connect()
+        assert caught.value.found == ("an agent in real time" if lockstep else "an agent in lockstep")
+        served.driver(lockstep=lockstep).connect()
