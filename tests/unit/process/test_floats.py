@@ -112,7 +112,7 @@ def test_a_push_beyond_the_largest_speed_meets_all_that_the_arm_has_and_stops_it
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(float_loop, "STAND_S", 9.0)
-    run = FloatRun(CELL, q_start=FORWARD, hand=pushed((0.0, 0.0, -20.0), 0.2, 0.4), until_s=1.0)
+    run = FloatRun(CELL, q_start=FORWARD, hand=pushed((0.0, 0.0, -20.0), 0.2, 0.4), until_s=2.2)
     rows = run.one.rows
     assert "STAND" in modes(run)
     assert "monitor speed" in next(text for text in run.one.texts.said if "holds" in text)
@@ -120,8 +120,8 @@ def test_a_push_beyond_the_largest_speed_meets_all_that_the_arm_has_and_stops_it
     assert len(pushed_rows) > 3
     against = pushed_rows["tau_limited"][:, 1] * np.sign(pushed_rows["dq"][:, 1])
     assert np.all(against[2:] < -1.9), "N·m of 2.05: it resists with what it has"
-    _, dq = part(run, 0.9, 1.0)
-    assert np.abs(dq).max() < 0.5, "it stays where the hand left it"
+    _, dq = part(run, 2.1, 2.2)  # it comes back from an end stop, by the phase of the push
+    assert np.abs(dq).max() < 0.05, "it comes to rest"
 
 
 def test_a_wall_keeps_a_joint_from_its_end_stop() -> None:
