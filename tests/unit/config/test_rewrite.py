@@ -98,7 +98,7 @@ def values_in_a_line(text: str) -> dict[str, int]:
     for i, line in enumerate(text.split("\n")):
         key = line.partition(" = ")[0]
         if line.startswith("["):
-            table = line.strip("[]") + "."
+            table = line.partition("#")[0].strip().strip("[]") + "."  # a comment may stand behind it
         elif key.isidentifier() and not line.endswith(("[", "{")):
             name = key == "name" and table == "arms."
             table = f"arms.{tomllib.loads(line)['name']}." if name else table
