@@ -212,23 +212,29 @@ def _arm(entry: ArmEntry, embedded: Mapping[str, str], source: str, arms_dir: Pa
             expected=f"joints of {entry.model}: {', '.join(by_name)}",
             remedy="correct `controlled` or `locked_rad`",
         )
-    kinds = moving(urdf_xml)
-    alone = [joint for joint in kinds if joint not in by_name]
-    if alone and by_name.keys() <= kinds.keys():  # else it is another arm's URDF, or names differ
-        raise ConfigError(
-            f"joints of arm {entry.name} ({arm_file.urdf})", found=f"{', '.join(alone)}, without a servo",
-            expected="a [[joints]] entry of the arm file for each joint that moves",
-            remedy="give it one, or make it `fixed` in the URDF",
-        )  # fmt: skip
-    slides = [joint for joint in by_name if kinds.get(joint) == "prismatic"]
-    if slides:
-        raise ConfigError(
-            f"joints of arm {entry.name} ({arm_file.urdf})", found=f"{', '.join(slides)}, which slides",
-            expected="joints that turn, as their servos do", remedy="make them `revolute`",
-        )  # fmt: skip
+    _refuse_unlike_joints(entry, arm_file, urdf_xml)
     servos = tuple(by_name[j] for j in entry.controlled)
     _refuse_weak_servos(entry, servos, source)
     return ArmFiles(entry, arm_file, arm_bytes, urdf_xml, servos, own is not None)
+
+
+def _refuse_unlike_joints(entry: ArmEntry, arm_file: ArmFile, urdf_xml: str) -> None:
+    """Raise ConfigError where the joints that move are not those of the servos, or do not turn as these do."""
+    kinds, served = moving(urdf_xml), [joint.name for joint in arm_file.joints]
+    what = f"joints of arm {entry.name} ({arm_file.urdf})"
+    alone = [joint for joint in kinds if joint not in served]
+    if alone and kinds.keys() >= set(served):  # else it is another arm's URDF, or names differ
+        raise ConfigError(
+            what, found=f"{', '.join(alone)}, without a servo",
+            expected="a [[joints]] entry of the arm file for each joint that moves",
+            remedy="give it one, or make it `fixed` in the URDF",
+        )  # fmt: skip
+    slides = [joint for joint in served if kinds.get(joint) == "prismatic"]
+    if slides:
+        raise ConfigError(
+            what, found=f"{', '.join(slides)}, which slides", expected="joints that turn, as their servos do",
+            remedy="make them `revolute`",
+        )  # fmt: skip
 
 
 def _own_arm_file(entry: ArmEntry, name: str, embedded: Mapping[str, str], source: str) -> tuple[ArmFile, bytes]:

@@ -23,7 +23,7 @@ from agent.identify.equations import BLOCKS_MIN, Motion, Options, equations, too
 from agent.identify.friction import CERTAIN, LOAD, SHAPES, Choice, Shape, Term, choose, clearly_larger
 from agent.identify.joint import LONGEST_PERIODS, Found, joined_with, together
 from agent.identify.recording import IdentifyError, Recording
-from agent.identify.scales import Scales, in_own_units, of_own_units, one_unit, scales_of
+from agent.identify.scales import Scales, in_one_unit, in_own_units, of_own_units, one_unit, scales_of
 from agent.identify.solve import BLOCK_S, Part, least_squares
 from drivers.interface import Vector
 
@@ -77,13 +77,14 @@ def fit(recording: Recording, options: Options) -> Fit:
 def _fit(recorded: Recording, options: Options) -> Fit:
     """Identify the arm with the delay that the recording says."""
     model = recorded.cell.model(recorded.arm)
-    base = base_of(model)
-    part, _ = _split(equations(recorded, model, base, options), options.held_out)
-    _refuse_too_little(part, base, recorded, options)
-    scales = scales_of(part, Motion.of(recorded, options), base)
-    recording = one_unit(recorded, scales.taken)
-    motion = Motion.of(recording, options)
-    train, held_out = _split(equations(recording, model, base, options), options.held_out)
+    base, motion = base_of(model), Motion.of(recorded, options)
+    whole = equations(recorded, model, base, options)
+    train, _ = _split(whole, options.held_out)
+    _refuse_too_little(train, base, recorded, options)
+    scales = scales_of(train, motion, base)
+    recording, whole = one_unit(recorded, scales.taken), in_one_unit(whole, motion, scales.taken)
+    motion = replace(motion, recording=recording)
+    train, held_out = _split(whole, options.held_out)
     condition = least_squares(train)[2]
     choice = _chosen(train, motion)
     filtered = _others(recording, model, base, options)

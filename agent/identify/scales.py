@@ -34,10 +34,15 @@ LEAST: Final = 0.005  # of a factor, from 1 on: less is within what figures are 
 
 @dataclass(frozen=True)
 class Scales:
-    """Of each joint, and what of it is taken."""
+    """Factors of the joints; where the motion does not tell them they are ones, with infinite errors."""
 
     value: Vector  # (n,) 1 of the joint that bears most
     sigma: Vector  # (n,) standard errors; 0 of that joint
+
+    @property
+    def most(self) -> int:
+        """The joint that bears most."""
+        return int(np.argmin(self.sigma))
 
     @property
     def taken(self) -> Vector:
@@ -51,34 +56,42 @@ def one_unit(recording: Recording, taken: Vector) -> Recording:
     return replace(recording, tau=recording.tau / taken, sent=recording.sent / taken)
 
 
-def scales_of(part: Part, motion: Motion, base: Base) -> Scales:
-    """Of the joints of a recording; ones, without doubt of nothing, where the motion does not tell them."""
-    n, shared = part.tau.shape[1], [i for i, k in enumerate(base.kept) if k < BODY_PARAMETERS * part.tau.shape[1]]
+def in_one_unit(part: Part, motion: Motion, taken: Vector) -> Part:
+    """The same of its equations, from the first one on; what the object takes is in no servo's unit."""
+    if np.all(taken == 1.0):
+        return part
     acted = motion.acted()[: len(part.t)]
-    known = acted - part.tau  # of the object
+    return replace(part, tau=part.tau + acted / taken - acted)
+
+
+def scales_of(part: Part, motion: Motion, base: Base) -> Scales:
+    """Factors of a recording's joints, from its equations from the first one on."""
+    n = part.tau.shape[1]
+    value, sigma, unknown = np.ones(n), np.zeros(n), Scales(np.ones(n), np.full(n, np.inf))
+    shared = [i for i, k in enumerate(base.kept) if k < BODY_PARAMETERS * n]
+    of_object = motion.acted()[: len(part.t)] - part.tau
     rate = motion.rate(motion.recording.delay_s)[: len(part.t), :, None]
-    value, sigma = np.ones(n), np.zeros(n)
+    late = replace(part, columns=np.concatenate([part.columns, rate], axis=2))
     try:
         for _ in range(ROUNDS):
-            scaled = replace(part, tau=acted / value - known, columns=np.concatenate([part.columns, rate], axis=2))
-            parameters = least_squares(scaled, CONDITION_MAX)[0]
-            links = part.columns[:, :, shared] @ parameters[shared] + known
+            scaled = in_one_unit(late, motion, value)
+            links = part.columns[:, :, shared] @ least_squares(scaled, CONDITION_MAX)[0][shared] + of_object
             most = int(np.argmax((links**2).mean(axis=0)))
-            others = [j for j in range(n) if j != most]
-            own = np.zeros((len(part.t), n, len(others)))
-            for k, j in enumerate(others):
-                own[:, j, k] = links[:, j]
+            others = np.flatnonzero(np.arange(n) != most)
+            own = links[:, :, None] * np.eye(n)[:, others]
             wide = replace(scaled, columns=np.concatenate([scaled.columns, own], axis=2))
             found, errors, _ = least_squares(wide, CONDITION_MAX)
             off = found[-len(others) :]
             value[others] *= 1.0 + off
             value /= value[most]
             sigma[others], sigma[most] = value[others] * errors[-len(others) :], 0.0
-            if np.abs(off).max() < CLOSE or not np.all(value > 0.0):
+            if not np.all(value > 0.0):
+                return unknown
+            if np.abs(off).max() < CLOSE:
                 break
     except IdentifyError:
-        return Scales(np.ones(n), np.full(n, np.inf))
-    return Scales(value, sigma) if np.all(value > 0.0) else Scales(np.ones(n), np.full(n, np.inf))
+        return unknown
+    return Scales(value, sigma)
 
 
 def in_own_units(taken: Vector, base: Base, sticking: Sequence[Term]) -> Vector:

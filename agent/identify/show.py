@@ -44,7 +44,7 @@ def friction_lines(result: Identified) -> list[str]:
 def scale_lines(result: Identified) -> list[str]:
     """Joints whose torque is another part of what they are asked for than that of the joint that bears most."""
     scales, joints = result.fit.scales, result.recording.arm.entry.controlled
-    most = joints[int(np.argmin(scales.sigma))]
+    most = joints[scales.most]
     return [
         f"torque: {name} is asked for {value:.3f} ± {sigma:.1g} times what links that {most} bears would ask of it: a "
         "torque constant is off by that; the figures of each are in its own torque"

@@ -101,10 +101,9 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         tell = Teller(arm.name, texts)
         with tell.refusals():
             guard = _reached(cell, options, stop, control)
-        if guard is None and not options.lockstep:
-            tell.event(Level.WARN, UNGUARDED)
-        q_start = rest_joints(arm) if options.whole else report.q_start[cell.arms.index(arm)]
-        with tell.refusals():
+            if guard is None and not options.lockstep:
+                tell.event(Level.WARN, UNGUARDED)
+            q_start = rest_joints(arm) if options.whole else report.q_start[cell.arms.index(arm)]
             driver, clock = build_driver(cell, arm, options.driver, options, q_start, tell.warn, guard)
         try:
             info = driver.connect()

@@ -170,12 +170,12 @@ def _tracks(options: PlayOptions, log: ColumnLog) -> list[_Track]:
             expected="a positive speed, and seconds within the log",
             remedy="correct the options",
         )
-    first_ns, last_ns = (int(times.min()) + round(min(s * 1e9, _LONGER_NS)) for s in (options.start_s, stop_s))
+    begin_ns, end_ns = int(times.min()), int(times.max())
+    first_ns, last_ns = (begin_ns + round(min(s * 1e9, _LONGER_NS)) for s in (options.start_s, stop_s))
     tracks = [
         _row_track(Address(log.cell, member, Kind.STATE), rows[(utc_ns >= first_ns) & (utc_ns <= last_ns)])
         for (member, rows), utc_ns in zip(members.items(), utc, strict=True)
     ]
-    begin_ns, end_ns = int(times.min()), int(times.max())
     before, after = first_ns <= begin_ns, last_ns >= end_ns  # with what was told before the first row, behind the last
     for address, events in _by_source(log.cell, log.events).items():
         some_events = [e for e in events if (before or e.utc_ns >= first_ns) and (after or e.utc_ns <= last_ns)]

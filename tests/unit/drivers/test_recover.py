@@ -66,14 +66,20 @@ def _working() -> Rig:
     return rig
 
 
+def goes_on(
+    rig: Any, cycles: int, tau: np.ndarray = 0.0 * TAU, *, passed_over: type[DriverError] = DxlServoFault
+) -> None:
+    for _ in range(cycles):
+        with contextlib.suppress(passed_over):
+            rig.driver.read()
+        rig.driver.write(tau)
+        rest(rig, 0.004)
+
+
 def _tripped() -> Rig:
     rig = _working()
     rest(rig, 0.25)
-    for _ in range(20):
-        with contextlib.suppress(DxlServoFault):
-            rig.driver.read()
-        rig.driver.write(0.0 * TAU)
-        rest(rig, 0.004)
+    goes_on(rig, 20)
     assert rig.driver.faults[0].cause is FaultCause.WATCHDOG_TRIPPED
     rig.port.writes.clear()
     return rig
@@ -122,17 +128,9 @@ def test_an_arm_whose_encoder_has_jumped_is_not_armed_again_before_it_is_back(of
     """Armed again it believed what it had rejected, and held with torque of the wrong sign."""
     rig = working()
     rig.fault(FaultKind.ENCODER_OFFSET, 4, offset_ticks=offset_ticks)
-    for _ in range(10):
-        with contextlib.suppress(DriverError):
-            rig.driver.read()
-        rig.driver.write(TAU)
-        rest(rig, 0.004)
+    goes_on(rig, 10, TAU, passed_over=DriverError)
     rest(rig, 0.25)
-    for _ in range(20):
-        with contextlib.suppress(DriverError):
-            rig.driver.read()
-        rig.driver.write(0.0 * TAU)
-        rest(rig, 0.004)
+    goes_on(rig, 20, passed_over=DriverError)
     assert rig.driver.lapsed is True
     rig.port.writes.clear()
     for _ in range(3):
@@ -155,11 +153,7 @@ def test_watchdogs_that_fire_again_after_they_were_not_armed_again_are_noticed_a
     assert rig.driver.lapsed is False
     for servo in IDS:
         rig.put(servo, table.BUS_WATCHDOG, WATCHDOG_TRIPPED)
-    for _ in range(20):
-        with contextlib.suppress(DxlServoFault):
-            rig.driver.read()
-        rig.driver.write(0.0 * TAU)
-        rest(rig, 0.004)
+    goes_on(rig, 20)
     assert rig.driver.lapsed is True
 
 
