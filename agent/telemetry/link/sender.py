@@ -136,6 +136,7 @@ class Sender:
         end_missing = self.ended and not self._end_acknowledged
         if not (missing or end_missing):
             self._sweep = None
+            self._stuck_since_s, self._patience_s = now_s, RESEND_AFTER_S  # what is published from now on has its time
             return
         if self._sweep is None or not self._left:
             if now_s - self._stuck_since_s < self._patience_s:

@@ -157,6 +157,22 @@ def test_nothing_is_sent_twice_while_the_answers_keep_up() -> None:
     assert sent == 200
 
 
+@pytest.mark.parametrize("every", [1, 4, 16, 50])  # tenths of a second between two messages
+def test_a_seldom_message_has_its_time_like_one_of_many_before_it_is_sent_again(every: int) -> None:
+    source, recorder = Numbers(1000), Recorder()
+    sender, sent, answer = Sender(source, window=None), 0, recorder.status()
+    for tenth in range(1000):
+        if tenth % every == 0:
+            source.written += 1
+        if tenth % 4 == 0:  # an answer in 0.4 s, of what was there when it left
+            sender.on_status(answer, tenth / 10)
+            answer = recorder.status()
+        for header, payload in [*sender.new(3, tenth / 10), *sender.again(3, tenth / 10)]:
+            recorder.receive(header, payload)
+            sent += len(payload)
+    assert sent == source.written
+
+
 def test_patience_grows_while_nothing_helps_so_a_deaf_recorder_is_not_flooded() -> None:
     source = Numbers(1000)
     source.written = 4
