@@ -97,7 +97,7 @@ class RearmError(DriverError):
     @classmethod
     def of(cls, fault: ServoFault) -> RearmError:
         """What a servo did not take."""
-        remedy = "it is tried again; if it persists check cable and supply, and run `coop doctor`"
+        remedy = "it is tried again until the arm is given up; check cable and supply, and run `coop doctor`"
         return cls(fault.what, found=fault.found, expected=fault.expected, remedy=remedy)
 
 
