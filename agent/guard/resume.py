@@ -19,7 +19,7 @@ from agent.replay.chain import Chain
 from agent.replay.tick import Rows, is_fresh, state_at
 from agent.safety import Flag
 from agent.session_modes import next_in_session
-from drivers.interface import Vector
+from drivers.interface import JointState, Vector
 
 ROWS = 64  # how far back a fresh state is looked for
 SAME_NM = 1e-3  # between what a row says was sent and what a servo says it holds
@@ -70,10 +70,10 @@ def _last_fresh(rows: Rows) -> int | None:
     return next((i for i in range(len(rows) - 1, -1, -1) if is_fresh(flags[i])), None)
 
 
-def last_speed(rows: Rows, n: int) -> Vector:
-    """Measured joint speeds of the last fresh row, (n,) rad/s; zero without one."""
+def last_seen(rows: Rows, n: int) -> JointState | None:
+    """Measured state of the n joints in the last fresh row; None without one."""
     place = _last_fresh(rows)
-    return np.zeros(n) if place is None else rows["dq_measured"][place, :n].copy()
+    return None if place is None else state_at(rows, place, n)
 
 
 def from_torque(begun: Beginning, rows: Rows, tau_held: Vector) -> Beginning:

@@ -8,14 +8,14 @@ from typing import Protocol
 from agent.around import Beginning, Schedule
 from agent.cycles import Patience
 from agent.guard.pulse import SHARED_STALE_NS
-from agent.guard.resume import beginning, from_torque, last_speed
+from agent.guard.resume import beginning, from_torque, last_seen
 from agent.guard.vigil import Vigil
 from agent.loop import Agent
 from agent.modes import Mode
 from agent.replay.tick import Rows
 from agent.safety import Flag
 from drivers.clock import MonotonicClock
-from drivers.interface import Clock, Vector
+from drivers.interface import Clock, JointState, Vector
 
 WATCH_NS = 2_000_000  # between two looks at the agent
 STALE_NS = 18_000_000  # without a row, after which it is ended: it hangs
@@ -50,9 +50,10 @@ class Adopts(Protocol):
     resumed: bool  # the arm had stopped by itself, and has obeyed again since `adopt`: its torque is zero
     limp: bool  # it had stopped by itself, or does not answer, and `adopt` was not to bring it back
 
-    def adopt(self, dq: Vector, *, brings_back: bool) -> Vector:
+    def adopt(self, last: JointState | None, *, brings_back: bool) -> Vector:
         """Take the arm over as it is; the joint torques (n,) that it holds.
 
+        last: the last fresh state that the agent had; None where there is none.
         brings_back: an arm that has stopped by itself shall obey again.
         """
         ...
@@ -76,16 +77,19 @@ def go_on(
     """Where the loop begins; rows: the last ones of the agent, which is dead.  Raises what `adopt` does.
 
     session: the agent had one.  A guard that comes too late, as one that was stopped itself, finds an arm that was limp
-    for as long as a loop does not bring one back after: it begins in FAULT.
+    for as long as a loop does not bring one back after: it begins in FAULT.  So does a limp arm whose agent had not
+    believed what it read: nobody could tell where its joints are.
     """
     away_ns, period_ns = clock.now_ns() - int(rows[-1]["stamp_ns"]) if len(rows) else 0, schedule.period_ns
     in_time = away_ns <= schedule.patience.lost * period_ns
-    held = driver.adopt(last_speed(rows, agent.model.n), brings_back=in_time)
+    seen = last_seen(rows, agent.model.n)
+    blind = seen is None and bool(len(rows))
+    held = driver.adopt(seen, brings_back=in_time and not blind)
     marks = Flag.RESUMED if driver.resumed else Flag.NONE
     if away_ns > GAP_PERIODS * period_ns:
         marks |= Flag.GAP
     begun = from_torque(beginning(agent, rows, reason, marks, session=session), rows, held)
     if not driver.limp:
         return begun
-    limp = f"{reason}, and nobody commanded the arm for {away_ns * 1e-9:.1f} s: its servos have let go"
-    return replace(begun, mode=Mode.FAULT, reason=limp)
+    since = "it had not seen the arm" if blind else f"nobody commanded the arm for {away_ns * 1e-9:.1f} s"
+    return replace(begun, mode=Mode.FAULT, reason=f"{reason}, and {since}: its servos have let go")

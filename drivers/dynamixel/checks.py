@@ -105,6 +105,10 @@ class JumpCheck:
         self._jumped_rad = 0.0
         self.in_a_row = 0
 
+    def begin(self, stamp_ns: int, angle_rad: float) -> None:
+        """Go on from an angle that another process has believed."""
+        self._last = (stamp_ns, angle_rad)
+
     def is_jump(self, stamp_ns: int, angle_rad: float) -> bool:
         """True when the angle cannot follow the last believed one; the angle is then not believed either.
 

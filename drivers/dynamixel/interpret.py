@@ -105,6 +105,11 @@ class Interpreter:
         state = JointState(cycle.stamp_ns, np.array(q), np.array(dq), np.array(tau))
         return Reading(state, stale, jumped, faults)
 
+    def begin(self, last: JointState) -> None:
+        """Go on from the last state that another process has believed: an angle is judged by the one before it."""
+        for entry, angle in zip(self._joints, last.q.tolist(), strict=True):
+            entry.jump.begin(last.stamp_ns, angle)
+
     def doubted(self) -> DxlServoFault | None:
         """The first joint whose last angle or speed was not believed."""
         checks = (check for entry in self._joints for check in (entry.jump, entry.speed))

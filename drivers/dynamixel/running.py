@@ -39,7 +39,7 @@ from drivers.dynamixel.servo.table import (
 from drivers.dynamixel.servo.thermal import ThermalWatch
 from drivers.dynamixel.servo.torque import torque_drive
 from drivers.dynamixel.servo.units import current_or_load, volts, watchdog_count
-from drivers.interface import GripState, ServoHealth
+from drivers.interface import GripState, JointState, ServoHealth
 
 
 def _record(servo: ServoFound, watchdog: int, rest: int) -> ServoRecord:
@@ -128,6 +128,10 @@ class Running:
                 ids = [self._arm.controlled[j].ids[0] for j in joints]
                 writers.append((GroupWrite(register.address, "h", ids), joints))
         return writers
+
+    def begin(self, last: JointState) -> None:
+        """Believe the first angles only where they can follow these, which another process has believed."""
+        self._interpreter.begin(last)
 
     def resume(self, goals: Mapping[int, int], dq: Sequence[float]) -> list[float]:
         """Go on from the goal counts that the servos hold (by ID); the joint torques they ask for, NaN where unknown.

@@ -21,7 +21,7 @@ from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.units import watchdog_count
-from drivers.interface import ConnectError, DriverError, Vector
+from drivers.interface import ConnectError, DriverError, JointState, Vector
 
 ATTEMPTS = 3
 ATTEMPT_NS = 12_000_000  # a reply that is not there by then was lost
@@ -88,12 +88,13 @@ class StandbyDriver(DynamixelDriver):
     def drop(self) -> None:
         """Nothing is this driver's alone: the port goes on to the next one."""
 
-    def adopt(self, dq: Vector, *, brings_back: bool = True) -> Vector:
+    def adopt(self, last: JointState | None, *, brings_back: bool = True) -> Vector:
         """Take the arm over with torque on; the joint torques (n,) its servos hold, NaN where one did not say.
 
-        dq: joint speeds as last known, (n,) rad/s.  Servos whose watchdog has fired meanwhile are armed again, without
-        effort, if it `brings_back`: the caller must command at once.  Servos that do not answer, a port that is gone,
-        and one servo without torque, with which they are not armed again, are the loop's affair, as in any cycle.
+        last: what the process before believed last; None: nothing.  An encoder that has jumped since, farther than its
+        joint can have turned, is not believed here either.  Servos whose watchdog has fired meanwhile are armed again,
+        without effort, if it `brings_back`: the caller must command at once.  Servos that do not answer, a port that is
+        gone, and one servo without torque, with which they are not armed again, are the loop's affair, as in any cycle.
         Raises AdoptError when those that answer are not as `enable` left them.
         """
         running = self._need(Phase.CONNECTED)
@@ -103,16 +104,19 @@ class StandbyDriver(DynamixelDriver):
             rows = {}
         self._refuse_strangers(rows)
         goals = {i: row[-1] for i, row in rows.items()}
-        torques = running.resume(goals, dq.tolist())
+        torques = running.resume(goals, [0.0] * len(self.arm.controlled) if last is None else last.dq.tolist())
         self._phase = Phase.ENABLED
         self._has_commanded = True
         # one that is off was being armed again: nothing would stop that servo
         tripped = [i for i, row in rows.items() if row[3] == WATCHDOG_TRIPPED or (row[0] and row[3] == 0)]
+        held = np.array(torques)
         if not brings_back and (tripped or not rows):
             self.limp = True
         elif tripped and all(row[0] for row in rows.values()):
-            return self._brought_back(tripped[0], len(torques))
-        return np.array(torques)
+            held = self._brought_back(tripped[0], len(torques))
+        if last is not None:
+            self._need(Phase.ENABLED).begin(last)
+        return held
 
     def _brought_back(self, servo_id: int, n: int) -> Vector:
         """Arm the watchdogs again, one of which is this servo's; where a packet gets lost the loop tries again."""

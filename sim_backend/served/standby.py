@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.interface import StaleStateError, Vector
+from drivers.interface import JointState, StaleStateError, Vector
 from sim_backend.served.driver import SimDriver
 
 
@@ -24,15 +24,15 @@ class SimStandby(SimDriver):
         self.drop()
         self._introduced(dict(told), self._new_link(os.dup(fd)))
 
-    def adopt(self, dq: Vector, *, brings_back: bool = True) -> Vector:
+    def adopt(self, last: JointState | None, *, brings_back: bool = True) -> Vector:
         """Take the arm over; NaN (n,), for a plant does not say which torque it was told last."""
-        del brings_back  # it has not gone
+        del last, brings_back  # it has not gone, and its encoders are right
         link = self._open_link()
         with contextlib.suppress(StaleStateError):  # a plant that has ended: the next read says so
             while link.receive(socket.MSG_DONTWAIT) is not None:
                 pass  # states that nobody answered
         self._goes_on()
-        return np.full(len(dq), np.nan)
+        return np.full(len(self._joints), np.nan)
 
     def drop(self) -> None:
         """Let go of the connection without a word: it is the other process's.  Safe twice."""

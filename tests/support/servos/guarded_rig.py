@@ -28,7 +28,7 @@ from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.servo.codes import Instruction
 from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM
 from drivers.dynamixel.standby import Handover, StandbyDriver
-from drivers.interface import Vector
+from drivers.interface import JointState, Vector
 from tests.support.servos.coupled_rig import ArmRun, CoupledRun
 from tests.support.servos.dxl_rig import VirtualPort
 
@@ -155,8 +155,8 @@ class GuardedRun(CoupledRun):
         class Asked:
             resumed = limp = False
 
-            def adopt(self, dq: Vector, *, brings_back: bool) -> Vector:
-                run.held = driver.adopt(dq, brings_back=brings_back)
+            def adopt(self, last: JointState | None, *, brings_back: bool) -> Vector:
+                run.held = driver.adopt(last, brings_back=brings_back)
                 return run.held
 
         begun = go_on(agent, Asked(), clock, rows, self._schedule(), "the agent has died")

@@ -268,7 +268,7 @@ def arming_lost(rig: Any, *heard: int) -> None:
 def test_an_arm_that_is_armed_in_part_has_stopped_until_a_later_attempt_arms_the_rest(heard: tuple[int, ...]) -> None:
     rig = tripped()
     arming_lost(rig, *heard)
-    with pytest.raises(RearmError, match="Bus Watchdog 0, expected 10; it is tried again until the arm is given up") as caught:
+    with pytest.raises(RearmError, match="Watchdog 0, expected 10; it is tried again until the arm is given") as caught:
         rig.driver.recover()
     assert not isinstance(caught.value, ServoFault), "which would be a lost arm"
     assert rig.kinds() == []

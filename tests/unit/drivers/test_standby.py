@@ -12,7 +12,7 @@ from drivers.dynamixel.errors import DxlServoFault, NotEnabledError
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, Instruction
 from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, LED, TORQUE_ENABLE
 from drivers.dynamixel.standby import AdoptError, Handover, StandbyDriver
-from drivers.interface import DriverError
+from drivers.interface import DriverError, StaleStateError
 from sim_backend.wire.faults import FaultKind
 from tests.support.servos.copied_rig import brought_up
 from tests.support.servos.dxl_rig import WX200, Rig, build, loses
@@ -46,7 +46,7 @@ def test_it_looks_at_the_supply_first_which_may_have_fallen_since_bring_up() -> 
     rig.fault(FaultKind.VOLTAGE, voltage_V=11.0)
     commanded(rig, 4)
     driver = standby(rig)
-    driver.adopt(rig.driver.read().dq)
+    driver.adopt(rig.driver.read())
     cycles = 0
     while not np.allclose(driver.health().voltage_V, 11.0):
         rig.clock.sleep_until(rig.clock.now_ns() + rig.arm.period_ns)
@@ -64,7 +64,7 @@ def test_it_takes_the_arm_as_it_is_and_commands_it() -> None:
     driver = standby(rig)
     assert rig.port.writes == [], "prepared without a byte on the bus"
     begin_ns = rig.clock.now_ns()
-    held = driver.adopt(state.dq)
+    held = driver.adopt(state)
     assert not driver.resumed
     assert rig.clock.now_ns() - begin_ns < 8 * MS
     np.testing.assert_allclose(held, TAU, atol=0.01)
@@ -93,7 +93,7 @@ def test_one_servo_that_cannot_answer_fast_keeps_all_of_them_from_being_asked_so
     rig.driver.connect()
     rig.driver.enable()
     driver = standby(rig)
-    driver.adopt(np.zeros(4))
+    driver.adopt(None)
     rig.port.writes.clear()
     driver.read()
     assert [packet[7] for packet in rig.port.writes] == [Instruction.SYNC_READ]
@@ -124,17 +124,17 @@ def test_an_arm_that_is_not_as_it_was_left_is_refused_and_nothing_is_written(reg
         rig.put(i, register, 0)
     rig.port.writes.clear()
     with pytest.raises(AdoptError, match="support the object: nothing holds it"):
-        driver.adopt(np.zeros(4))
+        driver.adopt(None)
     assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}
 
 
 def test_one_servo_without_torque_does_not_keep_the_others_from_holding() -> None:
     rig = brought_up()
     commanded(rig)
-    dq = rig.driver.read().dq
+    state = rig.driver.read()
     driver = standby(rig)
     rig.put(4, TORQUE_ENABLE, 0)
-    np.testing.assert_allclose(driver.adopt(dq), TAU, atol=0.01)
+    np.testing.assert_allclose(driver.adopt(state), TAU, atol=0.01)
 
 
 def test_a_servo_that_does_not_answer_is_not_known_and_the_others_are() -> None:
@@ -142,7 +142,7 @@ def test_a_servo_that_does_not_answer_is_not_known_and_the_others_are() -> None:
     commanded(rig)
     driver = standby(rig)
     rig.fault(FaultKind.POWER_LOSS, 5)
-    held = driver.adopt(np.zeros(4))
+    held = driver.adopt(None)
     assert np.isnan(held).tolist() == [False, False, True, False]
 
 
@@ -150,7 +150,7 @@ def test_a_port_that_is_gone_is_the_loops_affair() -> None:
     rig = brought_up()
     driver = standby(rig)
     rig.port.lost = True
-    assert np.isnan(driver.adopt(np.zeros(4))).all()
+    assert np.isnan(driver.adopt(None)).all()
 
 
 def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> None:
@@ -159,7 +159,7 @@ def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> Non
     driver = standby(rig)
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
     assert rig.get(2, BUS_WATCHDOG) == -1
-    assert driver.adopt(np.zeros(4)).tolist() == [0.0] * 4
+    assert driver.adopt(None).tolist() == [0.0] * 4
     assert driver.resumed
     assert rig.get(2, BUS_WATCHDOG) == 10
     driver.write(TAU)
@@ -172,7 +172,7 @@ def test_servos_without_watchdogs_are_those_of_a_process_that_died_while_it_arme
     driver = standby(rig)
     for servo in CONTROLLED:
         rig.put(servo, BUS_WATCHDOG, 0)
-    assert driver.adopt(np.zeros(4)).tolist() == [0.0] * 4
+    assert driver.adopt(None).tolist() == [0.0] * 4
     assert driver.resumed
     assert [rig.get(i, BUS_WATCHDOG) for i in CONTROLLED] == [10] * len(CONTROLLED)
     assert goals(rig)[0] == 0
@@ -184,7 +184,7 @@ def test_a_servo_that_has_restarted_has_no_watchdog_either_and_is_the_loops_affa
     driver = standby(rig)
     rig.put(4, BUS_WATCHDOG, 0)
     rig.put(4, TORQUE_ENABLE, 0)
-    driver.adopt(np.zeros(4), brings_back=False)
+    driver.adopt(None, brings_back=False)
     assert not driver.limp
 
 
@@ -199,7 +199,7 @@ def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which
         loses(rig, GOAL_CURRENT)
     else:
         loses(rig, BUS_WATCHDOG, value=10, count=3)
-    assert np.isnan(driver.adopt(np.zeros(4))).all()
+    assert np.isnan(driver.adopt(None)).all()
     assert (driver.resumed, driver.lapsed) == (False, True)
     with pytest.raises(DxlServoFault, match=r"servo 1 .*its bus watchdog has fired"):
         driver.read()
@@ -217,7 +217,7 @@ def test_servos_whose_watchdog_has_fired_are_left_limp_where_it_is_too_late_to_b
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
     rig.port.writes.clear()
     assert not driver.limp
-    driver.adopt(np.zeros(4), brings_back=False)
+    driver.adopt(None, brings_back=False)
     assert (driver.limp, driver.resumed) == (True, False)
     assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}, "nothing was written"
     driver.disable()
@@ -228,9 +228,9 @@ def test_too_late_is_limp_for_an_arm_that_does_not_answer_and_not_for_one_that_o
     rig = brought_up()
     commanded(rig)
     obeys, gone = standby(rig), standby(rig)
-    obeys.adopt(np.zeros(4), brings_back=False)
+    obeys.adopt(None, brings_back=False)
     rig.port.lost = True
-    gone.adopt(np.zeros(4), brings_back=False)
+    gone.adopt(None, brings_back=False)
     assert (obeys.limp, gone.limp) == (False, True)
 
 
@@ -241,7 +241,7 @@ def test_watchdogs_that_fired_beside_a_servo_without_torque_are_left_and_the_arm
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
     rig.put(4, TORQUE_ENABLE, 0)
     rig.port.writes.clear()
-    driver.adopt(np.zeros(4))
+    driver.adopt(None)
     assert not driver.resumed
     assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}, "nothing was written"
     for _ in range(20):
@@ -264,6 +264,43 @@ def test_the_servo_that_is_blamed_for_a_watchdog_is_the_one_whose_has_fired(monk
         raise DriverError("bus", found="a lost packet", expected="an answer", remedy="again")
 
     monkeypatch.setattr(driver, "rearm", lost)
-    assert np.isnan(driver.adopt(np.zeros(4))).all()
+    assert np.isnan(driver.adopt(None)).all()
     with pytest.raises(DxlServoFault, match=rf"servo {CONTROLLED[-1]} .*its bus watchdog has fired"):
         driver.read()
+
+
+@pytest.mark.parametrize(("ticks", "away_ns", "tripped"), [(114, 9 * MS, 0), (-114, 9 * MS, 0), (2048, 300 * MS, 1)])
+def test_an_encoder_that_jumped_while_nobody_commanded_is_not_believed(ticks: int, away_ns: int, tripped: int) -> None:
+    rig = brought_up()
+    commanded(rig)
+    last = rig.driver.read()
+    driver = standby(rig)
+    rig.fault(FaultKind.ENCODER_OFFSET, 4, offset_ticks=ticks)
+    rig.clock.sleep_until(rig.clock.now_ns() + away_ns)
+    driver.adopt(last)
+    assert driver.resumed == tripped
+    with pytest.raises(StaleStateError, match="a position it cannot have reached"):
+        driver.read()
+    rig.clock.sleep_until(rig.clock.now_ns() + rig.arm.period_ns)
+    with pytest.raises(DxlServoFault, match="a step to"):
+        driver.read()
+
+
+def test_an_arm_that_fell_while_nobody_commanded_is_believed_where_it_is() -> None:
+    rig = brought_up()
+    commanded(rig)
+    last = rig.driver.read()
+    driver = standby(rig)
+    rig.clock.sleep_until(rig.clock.now_ns() + 600 * MS)
+    driver.adopt(last)
+    assert driver.resumed
+    assert np.abs(driver.read().q - last.q).max() > 0.2
+
+
+def test_without_a_state_of_before_the_first_angles_are_believed() -> None:
+    rig = brought_up()
+    commanded(rig)
+    driver = standby(rig)
+    rig.fault(FaultKind.ENCODER_OFFSET, 4, offset_ticks=57)
+    driver.adopt(None)
+    driver.read()

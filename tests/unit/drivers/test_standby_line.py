@@ -36,7 +36,7 @@ def adopted(answer: Answer, noise: Arrivals = ()) -> tuple[Line, list[bool]]:  #
     port: Any = line
     driver = StandbyDriver(WX200, line, port=port)
     driver.prepare(handover())
-    held = driver.adopt(np.zeros(4))
+    held = driver.adopt(None)
     return line, (~np.isnan(held)).tolist()
 
 

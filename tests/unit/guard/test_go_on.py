@@ -25,7 +25,7 @@ from agent.process.build import build_agent
 from agent.safety import Flag
 from drivers.clock import utc_offset_ns
 from drivers.dynamixel.arm_map import WATCHDOG_S
-from drivers.interface import Vector
+from drivers.interface import JointState, Vector
 from tests.support.runner_rig import paper, period_ns, run
 
 AGENT = build_agent(paper(), paper().arms[0])
@@ -59,10 +59,10 @@ class Servos:
     resumed: bool = False
     tripped: bool = False
     limp: bool = False
-    dq: Vector | None = None
+    last: JointState | None = None
 
-    def adopt(self, dq: Vector, *, brings_back: bool) -> Vector:
-        self.dq, self.limp = dq, self.tripped and not brings_back
+    def adopt(self, last: JointState | None, *, brings_back: bool) -> Vector:
+        self.last, self.limp = last, self.tripped and not brings_back
         return self.held
 
 
@@ -122,6 +122,18 @@ def test_a_guard_that_comes_as_late_as_a_loop_gives_up_does_not_bring_a_limp_arm
     assert begun(LOST_NS + NANOSECOND).mode is Mode.HOLD, "somebody has fed its watchdogs, and it stands as it was left"
 
 
+@pytest.mark.fault("S5")
+def test_a_limp_arm_that_its_agent_did_not_see_is_not_brought_back() -> None:
+    of = rows()
+    of["flags"] |= int(Flag.STALE)
+    blind = begun(0, of, tripped=True)
+    assert (blind.mode, blind.reason) == (Mode.FAULT, "x, and it had not seen the arm: its servos have let go")
+    assert begun(0, of).mode is Mode.HOLD, "its servos still hold it"
+    of["flags"][-1] ^= int(Flag.STALE)
+    assert begun(0, of, tripped=True).mode is Mode.HOLD
+    assert begun(0, rows()[:0], tripped=True).mode is Mode.HOLD, "an agent without rows has rejected nothing"
+
+
 def test_the_first_step_counts_from_what_the_servos_hold_and_they_are_told_how_fast_the_arm_was() -> None:
     of, servos = rows(), Servos(np.full(3, 0.7))
     of["dq_measured"][-1, :3] = [0.1, -0.2, 0.3]
@@ -129,8 +141,8 @@ def test_the_first_step_counts_from_what_the_servos_hold_and_they_are_told_how_f
     found = go_on(AGENT, servos, now, of, SCHEDULE, "the agent has died")
     assert found.memory.tau.tolist() == [0.7] * 3
     assert (found.reason, found.rows) == ("the agent has died", int(of[-1]["sequence"]) + 1)
-    assert servos.dq is not None
-    assert servos.dq.tolist() == [0.1, -0.2, 0.3]
+    assert servos.last is not None
+    assert servos.last.dq.tolist() == [0.1, -0.2, 0.3]
 
 
 def test_a_guard_looks_often_enough_and_gives_up_on_an_agent_before_its_servos_do() -> None:

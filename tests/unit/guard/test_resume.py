@@ -12,7 +12,7 @@ from agent.around import Beginning
 from agent.config.cell import load_cell
 from agent.control.memory import Memory, restore
 from agent.cycles import Patience
-from agent.guard.resume import ROWS, beginning, from_torque, last_speed, stood_in
+from agent.guard.resume import ROWS, beginning, from_torque, last_seen, stood_in
 from agent.loop import initial_memory
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
@@ -112,7 +112,7 @@ def test_an_arm_that_floated_stands() -> None:
 def test_without_any_row_the_hold_begins_as_an_arm_that_waits_does() -> None:
     begun = beginning(AGENT, held_by_itself(STOP_AT)[0][:0], "x")
     assert (begun.mode, begun.rows, begun.memory.hold, begun.memory.primed) == (Mode.HOLD, 0, None, False)
-    assert last_speed(held_by_itself(STOP_AT)[0][:0], 3).tolist() == [0.0, 0.0, 0.0]
+    assert last_seen(held_by_itself(STOP_AT)[0][:0], 3) is None
 
 
 def begun_and_rows() -> tuple[Beginning, Any]:
@@ -143,15 +143,17 @@ def test_after_a_gap_or_without_torque_the_pose_is_found_anew(mark: Flag) -> Non
     assert memory.tau.any() == (mark is Flag.GAP)
 
 
-def test_speeds_are_the_measured_ones_of_the_last_fresh_row() -> None:
+def test_what_was_seen_last_is_what_the_last_fresh_row_measured() -> None:
     _, rows = begun_and_rows()
     rows = rows.copy()
     rows["dq_measured"][-2, :3] = [0.1, 0.2, 0.3]
     rows["flags"][-1] |= int(Flag.STALE)
-    assert last_speed(rows, 3).tolist() == [0.1, 0.2, 0.3]
-    assert last_speed(rows[:-1], 3).tolist() == [0.1, 0.2, 0.3]
-    assert last_speed(rows[-2:], 3).tolist() == [0.1, 0.2, 0.3]
-    assert last_speed(rows[-1:], 3).tolist() == [0.0, 0.0, 0.0]
+    for part in (rows, rows[:-1], rows[-2:]):
+        seen = last_seen(part, 3)
+        assert seen is not None
+        assert (seen.stamp_ns, seen.q.tolist()) == (rows[-2]["stamp_ns"], rows[-2]["q_measured"][:3].tolist())
+        assert seen.dq.tolist() == [0.1, 0.2, 0.3]
+    assert last_seen(rows[-1:], 3) is None
 
 
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", ["session.take_up_s=1.0"])
