@@ -72,7 +72,7 @@ engine: $(VENV)/.installed  ## the shipped cells in MuJoCo beside our plant, and
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[engine]'
 	$(BIN)/python -m tests.campaign.engine
 
-phases: $(VENV)/.installed  ## every phase of a session met by a stop, dead agents and lost power, in virtual time (3 min); PHASES=stop,...
+phases: $(VENV)/.installed  ## every phase of a session met by a stop, dead agents, lost power, a lost port, in virtual time (5 min); PHASES=stop,...
 	$(BIN)/python -m tests.campaign.phases $(PHASES)
 
 by-hand: $(VENV)/.installed  ## float, calibrate, run by real processes on emulated servos that are off: disagreement, internal force (6 min); BY_HAND=N realities

@@ -1,8 +1,9 @@
-"""Every phase of a session met by a stop, by dead agents and by lost power: what the arms do, and how they come back.
+"""Every phase of a session met by a stop, dead agents, lost power and a lost port: what arms do, how they come back.
 
-`python -m tests.campaign.phases [stop,kill-one,kill-all,power-one,power-all,dip-one]`: a line per phase and event, exit
-1 where an arm that obeys is not back at its rest, one without power is not given up, or the object is not where it
-stood.  About three minutes of CPU.
+`python -m tests.campaign.phases [stop,kill-one,kill-all,power-one,power-all,dip-one,unplug-blink,unplug-second,
+unplug-gone]`: a line per phase and event, exit 1 where an arm that obeys is not back at its rest, one without power or
+port is not given up, or the object is not where it stood.  An arm that carried nothing and was limp for most of a
+second has fallen from its path: it stands, and says that a person must bring it to its rest.  Five minutes of CPU.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ QUICK = [
 ]  # fmt: skip
 LIMIT_S, SET_DOWN_M, LOOK_S = 9.0, 3e-3, 0.3
 GIVEN_UP_S = 4.0
+FALLEN = "rad from the arm's path"
 CARRY = [Step(Mode.READY, Verb.START, Mode.TRACK, 0.35)]
 HELD = [*CARRY, Step(Mode.TRACK, Verb.STOP, Mode.HOLD, 0.5)]
 LET_GO = [Step(Mode.READY, Verb.STOP, Mode.HOLD, 0.35), Step(Mode.HOLD, Verb.RELEASE, Mode.RELEASE)]
@@ -60,14 +62,21 @@ EVENTS: dict[str, Callable[[PhaseRun], None]] = {
     "power-one": lambda rig: rig.power("left", on=False),
     "power-all": lambda rig: rig.power("left", "right", on=False),
     "dip-one": lambda rig: rig.dip("left"),
+    "unplug-blink": lambda rig: rig.unplug("left", 0.1),
+    "unplug-second": lambda rig: rig.unplug("left", 1.0),
+    "unplug-gone": lambda rig: rig.unplug("left"),
 }
-LOST = {"power-one": {"left"}, "power-all": {"left", "right"}, "dip-one": {"left"}}
+UNPLUGGED = ("unplug-blink", "unplug-second", "unplug-gone")
+LOST = {"power-one": {"left"}, "power-all": {"left", "right"}, "dip-one": {"left"}, "unplug-gone": {"left"}}
 
 
-def _met(rig: PhaseRun, lost: set[str]) -> str:
-    """What is wrong; empty where nothing is."""
+def _met(rig: PhaseRun, lost: set[str], *, falls: bool) -> str:
+    """What is wrong; empty where nothing is.  falls: an arm without an object may have fallen from its path."""
     away = [name for name in rig.arms if name not in lost and rig.way(name)[-2] is not Mode.REST]
-    if away:
+    fallen = [
+        name for name in away if falls and rig.way(name)[-2] is Mode.HALT and FALLEN in rig.arms[name].refused[-1]
+    ]
+    if away != fallen:
         return f"not back: {', '.join(away)}"
     if kept := [name for name in lost if rig.arms[name].modes[-1][0] > rig.step_ns[-1] * 1e-9 + GIVEN_UP_S]:
         return f"not given up: {', '.join(kept)}"
@@ -91,11 +100,11 @@ def main(events: Sequence[str]) -> int:
     for event in events:
         for name, phase in PHASES.items():
             steps = [*phase.steps, Step(phase.mode, EVENTS[event], None, phase.after_s)]
-            rig = PhaseRun(cell, phase.begins, steps, back=True, limit_s=LIMIT_S)
+            rig = PhaseRun(cell, phase.begins, steps, back=True, real=event in UNPLUGGED, limit_s=LIMIT_S)
             begun = rig.step_ns[-1]
             after = [z for ns, z in rig.heights if begun <= ns < begun + LOOK_S * 1e9]
             down, up = after[0] - min(after), max(after) - after[0]
-            wrong = _met(rig, LOST.get(event, set()))
+            wrong = _met(rig, LOST.get(event, set()), falls=event == "unplug-second")
             bad += bool(wrong)
             way = " ".join(mode.name for mode in rig.way("left")[:-1])
             figures = f"{down * 1e3:8.2f} {up * 1e3:7.2f} {_step_share(rig):11.2f}"

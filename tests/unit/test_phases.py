@@ -17,6 +17,7 @@ from agent.operator.table import Verb
 from agent.process.session import LEADS_BACK
 from agent.replay.chain import Chain
 from agent.safety import Flag
+from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import JointState
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.phase_rig import At, PhaseArm, PhaseRun, Step
@@ -231,6 +232,24 @@ def test_power_lost_by_one_arm_leaves_the_other_holding_and_all_come_back_with_i
     rig.again([Step(REST, Verb.APPROACH, APPROACH), Step(APPROACH, nothing, None, 0.2)])
     assert rig.finished
     assert {name: rig.way(name)[:2] for name in rig.arms} == {name: [REST, APPROACH] for name in rig.arms}
+
+
+@pytest.mark.fault("B4")
+@pytest.mark.parametrize(("begins", "word", "mode"), [(At.REST, Verb.APPROACH, APPROACH), (At.GRASP, Verb.PARK, PARK)])
+def test_an_arm_on_its_way_whose_port_is_away_for_a_moment_stands_and_goes_on(
+    begins: At, word: Verb, mode: Mode
+) -> None:
+    before = REST if begins is At.REST else APPROACH
+    steps = [Step(before, word, mode), Step(mode, lambda rig: rig.unplug("left", 0.1), None, 0.6)]
+    rig = PhaseRun(CELL, begins, steps, back=True, real=True, limit_s=5.0)
+    left = rig.arms["left"]
+    assert rig.way("left")[-4:-1] == [HALT, PARK, REST]
+    assert rig.way("right")[-2] is REST
+    rows = left.rows[left.rows["stamp_ns"] >= rig.step_ns[-1]]
+    blind = rows[rows["flags"] & Flag.STALE != 0]
+    assert blind["stamp_ns"][-1] - rig.step_ns[-1] < 1e9 * WATCHDOG_S, "its servos have not let go"
+    assert np.nanmax(np.abs(rows["dq_measured"][:, :3])) < 2.2, "of 2 rad/s on its way"
+    steps_are_bounded(rig)
 
 
 @pytest.mark.long  # closed on nothing: tests/unit/test_session.py; refused, it opens again: test_session_modes.py

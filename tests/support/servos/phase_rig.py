@@ -7,6 +7,7 @@ own steps go on, as in `guarded_rig`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -22,7 +23,7 @@ from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.servo_map import arm_map
 from agent.config.session import rest_joints
-from agent.faults.virtual import SharedClock
+from agent.faults.virtual import Plug, SharedClock
 from agent.guard.takeover import go_on
 from agent.loop import initial_memory
 from agent.modes import Event, Mode
@@ -107,10 +108,14 @@ class PhaseRun:
         *,
         object_off: pin.SE3 = WHERE_IT_SHOULD,
         back: bool = False,
+        real: bool = False,
         linger_s: float = 0.05,
         limit_s: float = 20.0,
     ) -> None:
-        """back: behind the steps all arms that obey are led back to their rest, word by word."""
+        """back: behind the steps all arms that obey are led back to their rest, word by word.
+
+        real: the loops have the patience of real arms; a guard comes a few cycles late.
+        """
         self.cell, self.at = cell, at
         q_grasp = start_joints(cell)
         spec, whole, wired = whole_cell(cell, q_grasp, object_off)
@@ -125,9 +130,10 @@ class PhaseRun:
         elif at is At.GRASP:
             for hand, finger in zip(whole.hands, self.world.fingers, strict=True):
                 finger.q_rad = hand.fingers.open_rad
-        self.injectors = {arm.name: Injector(arm, None, seed=1) for arm in self.emulated.arms}
+        self._plugs = {arm.name: Plug() for arm in self.emulated.arms}
+        self.injectors = {arm.name: Injector(arm, self._plugs[arm.name], seed=1) for arm in self.emulated.arms}
         self.heights: list[tuple[int, float]] = []  # ns, m of the object
-        self._back, self._boot_ns = back, 0
+        self._back, self._real, self._boot_ns = back, real, 0
         self._begin(steps)
         self._linger_ns, self._limit_ns = round(1e9 * linger_s), round(1e9 * limit_s)
         self.clock.live([partial(self._run, arm, i) for i, arm in enumerate(self.cell.arms)])
@@ -177,6 +183,10 @@ class PhaseRun:
             gone = Fault(kind=FaultKind.POWER_LOSS, arm=name, duration_s=DIP_S)
             self.injectors[name].add([gone], self.now_ns)
 
+    def unplug(self, arm: str, seconds: float = math.inf) -> None:
+        """The adapter of this arm is away for so long."""
+        self.injectors[arm].add([Fault(kind=FaultKind.PORT_LOSS, arm=arm, duration_s=seconds)], self.now_ns)
+
     def again(self, steps: Sequence[Step]) -> None:
         """With power: a person folds the limp arms into their rest, puts the object back and starts the agents."""
         self.power(*self.arms, on=True)
@@ -225,7 +235,7 @@ class PhaseRun:
     def _loop(self, run: PhaseArm, arm: Arm, index: int) -> RunSummary:
         clock = run.clock = MortalClock(self.clock)
         clock.sleep_until(clock.now_ns() + self._boot_ns)
-        line: Any = Line(self.emulated, index, self.injectors[arm.name], clock)  # type: ignore[arg-type]
+        line: Any = Line(self.emulated, index, self.injectors[arm.name], clock, self._plugs[arm.name])  # type: ignore[arg-type]
         servos = arm_map(self.cell, arm, "virtual", self._begins[index])
         port = VirtualPort(line, arm.baud)
         driver = DynamixelDriver(servos, clock, on_event=run.events.append, scan_s=0.02, port=port)
@@ -246,7 +256,7 @@ class PhaseRun:
             memory = initial_memory(agent)._replace(age=1e3 if self.at is At.GRASP else 0.0)
             begun = Beginning(begins, memory, clock.now_ns() + NOT_YET_NS, 0, "")
         watch = Watch(monitors.bounds(self.cell, arm), run.told.append)
-        schedule = session_schedule(self.cell)
+        schedule = session_schedule(self.cell, real=self._real)
         runner = Runner(agent, driver, clock, schedule, row, run.log, around, watch, begun, session)
         try:
             summary = runner.run(Event.ENABLED)
@@ -265,7 +275,7 @@ class PhaseRun:
         rows = np.array(run.log.rows[-64:], dtype=AGENT_STATE.dtype)
         run.signals = SimpleNamespace(stopped=False, stops=0, released=False, why="")
         run.standing = Standing(arm.name)
-        schedule = session_schedule(self.cell)
+        schedule = session_schedule(self.cell, real=self._real)
         begun = go_on(agent, driver, self.clock, rows, schedule, "the agent has died", session=True)
         session = led_back(self.cell, arm, agent, driver, begun, run.standing)
         run.reasons.append(run.standing.reason)

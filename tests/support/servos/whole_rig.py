@@ -44,9 +44,9 @@ WORDS = {
 }
 
 
-def session_schedule(cell: Cell) -> Schedule:
-    """As an agent has it that is held on to at its end."""
-    return schedule_of(cell, hold=True, shared=True)
+def session_schedule(cell: Cell, *, real: bool = False) -> Schedule:
+    """As an agent has it that is held on to at its end; real: with the patience of real arms."""
+    return schedule_of(cell, hold=True, shared=not real)
 
 
 @dataclass
