@@ -270,5 +270,18 @@ TARGETS = (
     Target("sim_backend.physics.gears", (f"{UNIT}/sim_backend/test_gears.py",)),
     Target("sim_backend.physics.openings", (f"{UNIT}/sim_backend/test_slipped.py", *_SOFT)),
     Target("sim_backend.physics.pads", _SOFT),
+    Target(
+        "sim_backend.physics.plant",
+        (
+            f"{UNIT}/sim_backend/test_plant.py",
+            f"{UNIT}/sim_backend/test_chain.py",
+            f"{UNIT}/sim_backend/test_gears.py",
+            f"{UNIT}/sim_backend/test_plant_refusals.py",
+            "tests/property/sim_backend/test_plant_physics.py",
+        ),
+    ),
     Target("sim_backend.physics.reality", (f"{UNIT}/sim_backend/test_reality.py",)),
+    Target(
+        "sim_backend.physics.soft", (*_SOFT, f"{UNIT}/sim_backend/test_slipped.py", f"{UNIT}/sim_backend/test_gears.py")
+    ),
 )

@@ -405,6 +405,31 @@ def test_a_motor_in_its_gap_is_held_back_by_its_own_speed(pads: GraspSpec | None
 
 
 @pytest.mark.parametrize("pads", [None, GraspSpec(1e6, 1e3)], ids=["welds", "pads"])
+def test_gears_are_told_the_speeds_and_accelerations_of_every_substep(
+    pads: GraspSpec | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = build_plant(replace(loose(shipped(*MOVED), viscous=0.3), grasp=pads))
+    gears = plant._gears
+    assert gears is not None
+    told, step = list[tuple[Vector, Vector]](), gears.step
+
+    def watched(motor: Vector, dq: Vector, ddq: Vector) -> None:
+        told.append((dq.copy(), ddq.copy()))
+        step(motor, dq, ddq)
+
+    monkeypatch.setattr(gears, "step", watched)
+    for k in range(40):
+        before, blow = plant.dq.copy(), gears.meets
+        plant.advance(np.array([0.3, -0.2, 0.1]), 1)
+        dq, ddq = told[k]
+        assert np.array_equal(dq, plant.dq)
+        if not blow:
+            np.testing.assert_allclose(ddq, (plant.dq - before) / H, rtol=1e-6, atol=1e-6)
+    assert len(told) == 40
+    assert max(np.abs(ddq).max() for _, ddq in told) > 1.0
+
+
+@pytest.mark.parametrize("pads", [None, GraspSpec(1e6, 1e3)], ids=["welds", "pads"])
 @pytest.mark.parametrize("viscous", [0.0, 0.3])
 def test_the_grasps_torque_that_is_metered_is_what_moves_the_object(pads: GraspSpec | None, viscous: float) -> None:
     """One arm that turns it by the wrist, through a blow."""

@@ -149,6 +149,27 @@ def test_a_pad_touches_at_the_end_effector_from_the_substep_after_it_first_gave_
     assert plant._openings.touches(0)
 
 
+def test_a_pad_that_goes_on_slipping_costs_no_linearisation_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = soft(spatial_cell(2), replace(SLIPPERY, open_m=1.0))
+    plant.push(np.array([0.0, 9.0, 2.0, 0.0, 0.2, 0.0]))
+    tau, made, linearise = np.zeros(plant.joint_count), list[float](), plant._linearise
+
+    def counted() -> None:
+        made.append(plant.t)
+        linearise()
+
+    monkeypatch.setattr(plant, "_linearise", counted)
+    while not plant._pads.slip_m.all():
+        plant.advance(tau, 1)
+    plant.advance(tau, 1)
+    made.clear()
+    for k in range(60):
+        before = plant._pads.slip_m.copy()
+        plant.advance(tau, 1)
+        assert (plant._pads.slip_m > before).any(), k
+    assert len(made) < 60
+
+
 def test_what_has_slipped_turns_with_the_object_over_many_linearisations() -> None:
     spec = replace(planar_cell(viscous(3), names=("left",)), gravity=np.zeros(3))
     plant, tau = soft(spec, GraspSpec(2e3, 2.0, damping_ratio=1.0, slip_N=4.0)), np.zeros(3)

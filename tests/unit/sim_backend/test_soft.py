@@ -376,11 +376,40 @@ def test_dry_friction_holds_and_slides_as_between_welds() -> None:
 
 
 def test_brake_reaches_dry_friction() -> None:
-    plant = soft(sticking(), PADS[1])
-    for name in plant.spec.names:
-        plant.brake(name, 1e4)
-    plant.advance(np.full(6, 0.9), 400)
-    assert float(np.abs(plant.dq).max()) < 1e-3
+    free, seized = soft(sticking(), PADS[1]), soft(sticking(), PADS[1])
+    tau = holding_torque(free.spec)[0] + np.array([0.6, -0.5, 0.3, 0.0, 0.0, 0.0])
+    for name in seized.spec.names:
+        seized.brake(name, 1e4)
+    for plant in (free, seized):
+        plant.advance(tau, 400)
+    assert float(np.abs(free.dq).max()) > 0.2
+    assert float(np.abs(seized.dq).max()) < 1e-3
+
+
+def test_a_turned_object_is_told_as_it_stands() -> None:
+    plant = soft(planar_cell(), PADS[0], gravity=np.zeros(3))
+    for arm in plant.spec.names:
+        plant.release(arm)
+    plant.push(np.array([0.0, 0.0, 0.0, 1e-3, 2e-3, -3e-3]))
+    plant.advance(np.zeros(6), 400)
+    seen = plant.observe(np.zeros(6))
+    turned = pin.Quaternion(*seen.quat_object).toRotationMatrix()  # scalar first
+    np.testing.assert_allclose(turned, plant.T_world_object.rotation, atol=1e-12)
+    assert np.abs(seen.quat_object).min() > 0.01, "no part of it is zero"
+
+
+def test_grasps_that_are_not_metered_give_zeros_and_metering_them_twice_forgets_nothing() -> None:
+    once, twice = soft(planar_cell(viscous(3)), PADS[1]), soft(planar_cell(viscous(3)), PADS[1])
+    assert once.grasp_torque().tolist() == [0.0] * 6
+    for plant in (once, twice):
+        plant.meter_grasps()
+        plant.advance(np.full(6, 0.1), 20)
+    twice.meter_grasps()
+    for plant in (once, twice):
+        plant.advance(np.full(6, -0.3), 20)
+    given = once.grasp_torque()
+    assert np.abs(given).max() > 1e-3
+    assert np.array_equal(twice.grasp_torque(), given)
 
 
 def test_an_arm_swings_with_its_inverse_mean_mobility_and_not_at_all_where_it_has_none() -> None:
