@@ -37,6 +37,10 @@ _LAW = tuple(
         "adaptive_law",
     )
 )  # fmt: skip
+_WELDED = tuple(
+    f"{UNIT}/sim_backend/test_{name}.py"
+    for name in ("plant", "chain", "gears", "plant_refusals", "meter", "snapshot", "sticking", "instants")
+)
 _MONITORS = tuple(f"{UNIT}/monitors/{name}.py" for name in ("test_each_monitor", "test_monitors"))
 _RUNNER = tuple(
     f"{UNIT}/{name}.py"
@@ -270,16 +274,7 @@ TARGETS = (
     Target("sim_backend.physics.gears", (f"{UNIT}/sim_backend/test_gears.py",)),
     Target("sim_backend.physics.openings", (f"{UNIT}/sim_backend/test_slipped.py", *_SOFT)),
     Target("sim_backend.physics.pads", _SOFT),
-    Target(
-        "sim_backend.physics.plant",
-        (
-            f"{UNIT}/sim_backend/test_plant.py",
-            f"{UNIT}/sim_backend/test_chain.py",
-            f"{UNIT}/sim_backend/test_gears.py",
-            f"{UNIT}/sim_backend/test_plant_refusals.py",
-            "tests/property/sim_backend/test_plant_physics.py",
-        ),
-    ),
+    Target("sim_backend.physics.plant", (*_WELDED, "tests/property/sim_backend/test_plant_physics.py")),
     Target("sim_backend.physics.reality", (f"{UNIT}/sim_backend/test_reality.py",)),
     Target(
         "sim_backend.physics.soft", (*_SOFT, f"{UNIT}/sim_backend/test_slipped.py", f"{UNIT}/sim_backend/test_gears.py")

@@ -77,6 +77,13 @@ _RANK = "if not sigma[-1] > SINGULAR * sigma[0]:"
 _SHIFTED = "shifted: list[bool] = np.any(np.abs(slipped) > LEAST_SLIP, axis=1).tolist()"
 _ROUNDING = "what slips does so by far more than rounding"
 
+_ARRIVES = "saves working the same out again: to the bit the same"
+_GIVES = "saves what changes nothing where no pad gives way"
+_TURNING = "turning = max(map(abs, (*v[:J].tolist(), *v[J + 3:].tolist(), 1e-09)))"
+_LEFT = "self._left = max(1, math.floor(min(self.spec.relinearise_s, MAX_TURN_RAD / turning) / h + 1e-09))"
+_FAST = "if not float(self._v.dot(self._v)) < FASTEST ** 2:"
+_PULLS = "pulls = pads.K * (self._phi - pads.slipped) + pads.C * self._openings.G.dot(v).reshape(-1, 6)"
+
 CONTROL: Entries = {
     "sim_backend.physics.calendar": {
         (
@@ -95,6 +102,28 @@ CONTROL: Entries = {
     "sim_backend.physics.openings": {
         ("", "LEAST_SLIP: Final = 1e-12", "LEAST_SLIP: Final = 2e-12"): _ROUNDING,
         ("Openings.measure", _SHIFTED, _SHIFTED.replace(">", ">=")): _ROUNDING,
+    },
+    "sim_backend.physics.soft": {
+        ("SoftPlant.__init__", "self._behind = False", "self._behind = True"): _ARRIVES,
+        ("SoftPlant._arrive", "if not self._behind:", "if False:"): _ARRIVES,
+        ("SoftPlant._arrive", "return", "pass"): _ARRIVES,
+        ("SoftPlant._arrive", "self._behind = False", "pass"): _ARRIVES,
+        ("SoftPlant._arrive", "self._behind = False", "self._behind = True"): _ARRIVES,
+        ("SoftPlant._slip", "if not gave.any():", "if False:"): _GIVES,
+        ("SoftPlant._slip", "return", "pass"): _GIVES,
+        ("SoftPlant._integrate", "if self._pads.slips:", "if True:"): _GIVES,
+        (
+            "SoftPlant._linearise",
+            _TURNING,
+            _TURNING.replace("1e-09", "2e-09"),
+        ): "a cell that stands so still turns less",
+        ("SoftPlant._linearise", _LEFT, _LEFT.replace("1e-09)", "2e-09)")): "no quotient is off by just so much",
+        ("SoftPlant._integrate", _FAST, _FAST.replace("<", "<=")): "no motion is just so fast",
+        (
+            "SoftPlant.observe",
+            _PULLS,
+            _PULLS.replace("-1, 6", "-2, 6"),
+        ): "numpy finds out the rest for any negative number",
     },
     "agent.control.adaptive": {
         ("torque", _TASK, _TASK.replace("len(P) == 6", "False")): _IDENTITY,
