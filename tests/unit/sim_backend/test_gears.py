@@ -509,14 +509,17 @@ def test_an_instant_that_is_worked_out_later_has_the_gears_of_then() -> None:
         assert (then.energy, then.grasp_wrench.tolist()) == (now.energy, now.grasp_wrench.tolist())
 
 
-def test_friction_that_is_observed_is_what_slowed_the_joint_without_its_rotor() -> None:
+@pytest.mark.parametrize("meshed", [False, True])
+def test_friction_that_is_observed_is_what_slowed_the_joint_with_the_rotor_that_turns_along(meshed: bool) -> None:
     spec = replace(loose(shipped(*MOVED), 0.1), gravity=np.zeros(3))
+    tight = replace(spec.arms[0].actuator, backlash_rad=np.array([0.1, 0.1, 0.0 if meshed else 0.1]))
+    spec = replace(spec, arms=(replace(spec.arms[0], actuator=tight),))
     sticking = FrictionSpec(*np.array([0.001, 0.0005, 0.1, 1.0, 0.0, 0.0, 0.5])[:, None] * np.ones(3))
     plant = build_plant(replace(spec, arms=(replace(spec.arms[0], friction=sticking),)))
     plant.release("arm")
     plant.set_velocity(np.array([0.0, 0.0, 0.3, *np.zeros(6)]))
     free = FreeArms(spec)
-    M = free.terms(plant.q, np.zeros(3))[0] - np.diag(spec.arms[0].rotor_inertia)
+    M = free.terms(plant.q, np.zeros(3))[0] - np.diag(spec.arms[0].rotor_inertia * [1.0, 1.0, 0.0 if meshed else 1.0])
     for _ in range(5):
         before = plant.dq
         plant.advance(np.zeros(3), 1)

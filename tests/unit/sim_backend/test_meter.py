@@ -72,6 +72,22 @@ def test_the_torque_is_the_mean_since_it_was_asked_for_and_metering_changes_noth
     assert not other.grasp_torque().any()
 
 
+@pytest.mark.parametrize("pads", [None, GraspSpec(3e3, 20.0)], ids=["welds", "pads"])
+def test_grasps_that_are_not_metered_give_zeros_and_metering_them_twice_forgets_nothing(pads: GraspSpec | None) -> None:
+    spec = replace(planar_cell(SERVOS[3]), grasp=pads)
+    once, twice = build_plant(spec), build_plant(spec)
+    assert once.grasp_torque().tolist() == [0.0] * 6
+    for plant in (once, twice):
+        plant.meter_grasps()
+        plant.advance(np.full(6, 0.1), 20)
+    twice.meter_grasps()
+    for plant in (once, twice):
+        plant.advance(np.full(6, -0.3), 20)
+    given = once.grasp_torque()
+    assert np.abs(given).max() > 1e-3
+    assert np.array_equal(twice.grasp_torque(), given)
+
+
 def test_an_opened_grasp_pulls_at_nothing() -> None:
     spec = planar_cell(SERVOS[3])
     plant = build_plant(spec)

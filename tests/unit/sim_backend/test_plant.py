@@ -117,6 +117,33 @@ def test_grasp_wrenches_at_rest_are_those_the_torques_mean(spec: PlantSpec) -> N
     np.testing.assert_allclose(Plant(spec).observe(tau).grasp_wrench, wrenches, atol=1e-8)
 
 
+def test_what_pushes_the_object_is_in_the_wrenches_that_are_told_and_in_those_of_an_instant_that_is_kept() -> None:
+    spec = planar_cell(ActuatorSpec.of(3, viscous_Nms_rad=0.5))
+    plant, push = Plant(spec), np.array([1.0, 0.0, -3.0, 0.0, 0.2, 0.0])
+    tau, at_rest = holding_torque(spec)
+    for arm in spec.names:
+        plant.brake(arm, 1e6)
+    plant.push(push)
+    plant.advance(tau, 100)
+    seen, kept = plant.observe(tau), plant.snapshot(tau)
+    plant.push(np.zeros(6))
+    plant.advance(tau, 100)
+    forces = (seen.grasp_wrench - at_rest)[:, :3].sum(axis=0)
+    np.testing.assert_allclose(forces, -push[:3], atol=0.05)  # the joints creep
+    assert np.array_equal(kept.observation().grasp_wrench, seen.grasp_wrench)
+    np.testing.assert_allclose(
+        plant.observe(tau).grasp_wrench[:, :3].sum(axis=0), at_rest[:, :3].sum(axis=0), atol=1e-3
+    )
+
+
+def test_servos_report_the_torque_they_give() -> None:
+    spec = planar_cell()
+    plant = Plant(spec)
+    tau, _ = holding_torque(spec)
+    plant.advance(tau, 10)
+    np.testing.assert_allclose(plant.reported()[2], tau, atol=1e-12)
+
+
 def test_squeeze_shows_as_opposite_forces_in_world_axes() -> None:
     spec = planar_cell()
     squeeze_N = 3.0

@@ -398,20 +398,6 @@ def test_a_turned_object_is_told_as_it_stands() -> None:
     assert np.abs(seen.quat_object).min() > 0.01, "no part of it is zero"
 
 
-def test_grasps_that_are_not_metered_give_zeros_and_metering_them_twice_forgets_nothing() -> None:
-    once, twice = soft(planar_cell(viscous(3)), PADS[1]), soft(planar_cell(viscous(3)), PADS[1])
-    assert once.grasp_torque().tolist() == [0.0] * 6
-    for plant in (once, twice):
-        plant.meter_grasps()
-        plant.advance(np.full(6, 0.1), 20)
-    twice.meter_grasps()
-    for plant in (once, twice):
-        plant.advance(np.full(6, -0.3), 20)
-    given = once.grasp_torque()
-    assert np.abs(given).max() > 1e-3
-    assert np.array_equal(twice.grasp_torque(), given)
-
-
 def test_an_arm_swings_with_its_inverse_mean_mobility_and_not_at_all_where_it_has_none() -> None:
     M, J = np.diag([1.0, 2.0, 4.0]), np.zeros((6, 3))
     J[0, 0], J[1, 1], J[2, 2] = 1.0, 2.0, 2.0  # mobilities 1, 2, 1

@@ -48,6 +48,17 @@ def test_joints_stand_under_jitter_below_breakaway_and_move_above(grasp: GraspSp
 
 
 @pytest.mark.parametrize("grasp", [None, GraspSpec(1e4, 50.0)], ids=["welds", "pads"])
+@pytest.mark.parametrize(("load", "moves"), [(0.5, False), (0.0, True)])
+def test_a_joint_rubs_the_more_the_more_its_motor_gives(grasp: GraspSpec | None, load: float, moves: bool) -> None:
+    rubs = replace(STICKY, breakaway_Nm=0 * ONE, load=load * ONE)
+    spec = replace(planar_cell(names=("left",)), gravity=np.zeros(3), grasp=grasp)
+    plant = build_plant(replace(spec, arms=(replace(spec.arms[0], friction=rubs),)))
+    start = plant.q
+    plant.advance(np.array([0.0, 0.0, 0.1]), 400)  # 0.06 N·m, and half of 0.1
+    assert bool(np.abs(plant.q - start).max() > 20 * PRESLIDING_RAD) is moves
+
+
+@pytest.mark.parametrize("grasp", [None, GraspSpec(1e4, 50.0)], ids=["welds", "pads"])
 def test_braked_joints_creep_only(grasp: GraspSpec | None) -> None:
     plant = build_plant(sticky(grasp))
     for arm in plant.spec.names:
