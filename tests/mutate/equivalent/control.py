@@ -82,6 +82,9 @@ _GIVES = "saves what changes nothing where no pad gives way"
 _TURNING = "turning = max(map(abs, (*v[:J].tolist(), *v[J + 3:].tolist(), 1e-09)))"
 _LEFT = "self._left = max(1, math.floor(min(self.spec.relinearise_s, MAX_TURN_RAD / turning) / h + 1e-09))"
 _FAST = "if not float(self._v.dot(self._v)) < FASTEST ** 2:"
+_SAVES = "saves adding zeros"
+_ACTED = "acted = mean if geared is None else dq - (h[:J] - ahead) * a[:J]"
+_PUSHES = "tau_dry, push, geared = (self._tau_dry, self._push.copy() if self._pushed else None, copy.copy(self._gears))"
 _PULLS = "pulls = pads.K * (self._phi - pads.slipped) + pads.C * self._openings.G.dot(v).reshape(-1, 6)"
 
 CONTROL: Entries = {
@@ -102,6 +105,17 @@ CONTROL: Entries = {
     "sim_backend.physics.openings": {
         ("", "LEAST_SLIP: Final = 1e-12", "LEAST_SLIP: Final = 2e-12"): _ROUNDING,
         ("Openings.measure", _SHIFTED, _SHIFTED.replace(">", ">=")): _ROUNDING,
+    },
+    "sim_backend.physics.plant": {
+        ("Plant._integrate", "if servos.has_friction:", "if True:"): _SAVES,
+        ("Plant._integrate", "if self._pushed:", "if True:"): _SAVES,
+        ("Plant.__init__", "self._pushed = False", "self._pushed = True"): _SAVES,
+        (
+            "Plant._integrate",
+            _ACTED,
+            _ACTED.replace("geared is None", "False"),
+        ): "without gears `ahead` is half a substep",
+        ("Plant.snapshot", _PUSHES, _PUSHES.replace("if self._pushed", "if True")): _SAVES,
     },
     "sim_backend.physics.soft": {
         ("SoftPlant.__init__", "self._behind = False", "self._behind = True"): _ARRIVES,
