@@ -272,6 +272,9 @@ TARGETS = (
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.gears", (f"{UNIT}/sim_backend/test_gears.py",)),
+    Target(
+        "sim_backend.physics.lone", (*_WELDED, f"{UNIT}/sim_backend/test_lone.py", f"{UNIT}/sim_backend/test_stops.py")
+    ),
     Target("sim_backend.physics.openings", (f"{UNIT}/sim_backend/test_slipped.py", *_SOFT)),
     Target("sim_backend.physics.pads", _SOFT),
     Target("sim_backend.physics.plant", (*_WELDED, "tests/property/sim_backend/test_plant_physics.py")),
