@@ -10,6 +10,7 @@ _BRAKES = "brake = brake_per_s(agent.period_s) if damped else 0.0"
 _WHILE_IT_BRAKES = "read only while the arm brakes"
 _WITH_A_SESSION = "asked for twice, for the type checker: whoever is alone has a session"
 _PART = "part = 1.0 if life is None else phases.handing_over(life, mode, memory)"
+_PULLS = "if mode is _HOLD and memory.braced.force_N:"
 _LEARNS = "if adaptation is None or estimate is None:"
 _BOTH = "who learns has an estimate; said for the type checker"
 _NONE = "a function without a result returns None"
@@ -84,6 +85,7 @@ _FAST = "if not float(self._v.dot(self._v)) < FASTEST ** 2:"
 _SAVES = "saves adding zeros"
 _ACTED = "acted = mean if geared is None else dq - (h[:J] - ahead) * a[:J]"
 _PUSHES = "tau_dry, push, geared = (self._tau_dry, self._push.copy() if self._pushed else None, copy.copy(self._gears))"
+_OF_PADS = "pulls = pads.K * (self._phi - pads.slipped) + pads.C * self._openings.G.dot(v).reshape(-1, 6)"
 
 CONTROL: Entries = {
     "sim_backend.physics.calendar": {
@@ -131,7 +133,11 @@ CONTROL: Entries = {
         ): "a cell that stands so still turns less",
         ("SoftPlant._linearise", _LEFT, _LEFT.replace("1e-09)", "2e-09)")): "no quotient is off by just so much",
         ("SoftPlant._integrate", _FAST, _FAST.replace("<", "<=")): "no motion is just so fast",
-        ("SoftPlant.observe",): "numpy finds out the rest for any negative number",
+        (
+            "SoftPlant.observe",
+            _OF_PADS,
+            _OF_PADS.replace("-1, 6", "-2, 6"),
+        ): "numpy finds out the rest for any negative number",
     },
     "agent.control.adaptive": {
         ("torque", _TASK, _TASK.replace("len(P) == 6", "False")): _IDENTITY,
@@ -169,6 +175,7 @@ CONTROL: Entries = {
         ): _WHILE_IT_BRAKES,
         ("_law", _PART, _PART.replace("1.0", "2.0")): "all of it is the law's, as with one",
         ("_law", "if life is not None and part < 1.0:", "if True and part < 1.0:"): _WITH_A_SESSION,
+        ("_law", _PULLS, _PULLS.replace("memory.braced.force_N", "True")): "saves adding a pull of nothing",
         ("_of_object", _LEARNS, _LEARNS.replace(" or ", " and ")): _BOTH,
         ("_of_object", _LEARNS, _LEARNS.replace("adaptation is None", "False")): _BOTH,
         ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
