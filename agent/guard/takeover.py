@@ -77,8 +77,8 @@ def go_on(
     """Where the loop begins; rows: the last ones of the agent, which is dead.  Raises what `adopt` does.
 
     session: the agent had one.  A guard that comes too late, as one that was stopped itself, finds an arm that was limp
-    for as long as a loop does not bring one back after: it begins in FAULT.  So does a limp arm whose agent had not
-    believed what it read: nobody could tell where its joints are.
+    for as long as a loop does not bring one back after: it begins in FAULT.  So does a limp arm of which no row is
+    fresh: its agent may have rejected what an encoder said, and nobody could tell where the joints are.
     """
     away_ns, period_ns = clock.now_ns() - int(rows[-1]["stamp_ns"]) if len(rows) else 0, schedule.period_ns
     in_time = away_ns <= schedule.patience.lost * period_ns

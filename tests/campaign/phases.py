@@ -66,7 +66,6 @@ EVENTS: dict[str, Callable[[PhaseRun], None]] = {
     "unplug-second": lambda rig: rig.unplug("left", 1.0),
     "unplug-gone": lambda rig: rig.unplug("left"),
 }
-UNPLUGGED = ("unplug-blink", "unplug-second", "unplug-gone")
 LOST = {"power-one": {"left"}, "power-all": {"left", "right"}, "dip-one": {"left"}, "unplug-gone": {"left"}}
 
 
@@ -100,7 +99,7 @@ def main(events: Sequence[str]) -> int:
     for event in events:
         for name, phase in PHASES.items():
             steps = [*phase.steps, Step(phase.mode, EVENTS[event], None, phase.after_s)]
-            rig = PhaseRun(cell, phase.begins, steps, back=True, real=event in UNPLUGGED, limit_s=LIMIT_S)
+            rig = PhaseRun(cell, phase.begins, steps, back=True, real=event.startswith("unplug"), limit_s=LIMIT_S)
             begun = rig.step_ns[-1]
             after = [z for ns, z in rig.heights if begun <= ns < begun + LOOK_S * 1e9]
             down, up = after[0] - min(after), max(after) - after[0]

@@ -6,7 +6,7 @@ passes, HOST_NS, since virtual time does not count instructions.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,6 +29,7 @@ from drivers.dynamixel.servo.codes import Instruction
 from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM
 from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import JointState, Vector
+from sim_backend.wire.faults import Fault
 from tests.support.servos.coupled_rig import ArmRun, CoupledRun
 from tests.support.servos.dxl_rig import VirtualPort
 
@@ -96,9 +97,9 @@ class Guarded(ArmRun):
 class GuardedRun(CoupledRun):
     """A run of a cell whose agents end as told; their guards hold until until_s of the trajectory's time."""
 
-    def __init__(self, cell: Cell, ends: Mapping[str, End], until_s: float) -> None:
+    def __init__(self, cell: Cell, ends: Mapping[str, End], until_s: float, faults: Sequence[Fault] = ()) -> None:
         self._ends, self._until_ns = ends, round(until_s * 1e9)
-        super().__init__(cell, ())
+        super().__init__(cell, faults)
 
     def _run(self, arm: Arm, index: int, q_start: Vector) -> None:
         self.arms[arm.name] = Guarded()
@@ -157,6 +158,7 @@ class GuardedRun(CoupledRun):
 
             def adopt(self, last: JointState | None, *, brings_back: bool) -> Vector:
                 run.held = driver.adopt(last, brings_back=brings_back)
+                self.resumed, self.limp = driver.resumed, driver.limp
                 return run.held
 
         begun = go_on(agent, Asked(), clock, rows, self._schedule(), "the agent has died")

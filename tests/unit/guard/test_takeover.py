@@ -11,13 +11,10 @@ import numpy as np
 import pytest
 
 import configs
-from agent.around import RunSummary
-from agent.config.cell import Arm, load_cell
+from agent.config.cell import load_cell
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.safety import Flag
-from agent.telemetry.row.fill import AgentRow
-from drivers.dynamixel.standby import Handover, StandbyDriver
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.guarded_rig import End, Guarded, GuardedRun
 
@@ -68,22 +65,27 @@ def test_an_agent_that_dies_before_the_start_is_held_where_it_waited() -> None:
     assert left.rows["mode"][left.rows_of_agent - 1] == Mode.READY
 
 
-class JumpsMeanwhile(GuardedRun):
-    """A run in which an encoder of the left arm jumps by half a turn in the instant at which its agent dies."""
-
-    def _guarded(self, run: Guarded, arm: Arm, driver: StandbyDriver, handover: Handover, row: AgentRow) -> RunSummary:
-        now_ns = self._clock.now_ns()
-        self._injectors[0].add([Fault(kind=FaultKind.ENCODER_OFFSET, arm="left", servo=2, offset_ticks=2048)], now_ns)
-        self._injectors[0].tick(now_ns)
-        return super()._guarded(run, arm, driver, handover, row)
+def jumps(at_s: float) -> list[Fault]:
+    """An encoder of the left arm jumps by half a turn, and stays there."""
+    return [Fault(kind=FaultKind.ENCODER_OFFSET, arm="left", servo=2, offset_ticks=2048, start_s=at_s)]
 
 
 @pytest.mark.fault("S5")
-def test_an_encoder_that_jumps_as_the_agent_dies_moves_no_arm() -> None:
-    left = JumpsMeanwhile(CELL, {"left": End(0.7)}, UNTIL_S).arms["left"]
+def test_no_torque_is_made_of_an_encoder_that_jumps_as_the_agent_dies() -> None:
+    left = GuardedRun(CELL, {"left": End(0.7)}, UNTIL_S, jumps(0.7)).arms["left"]
     assert isinstance(left, Guarded)
     rows, k = left.rows, left.rows_of_agent
     assert (rows["flags"][k:] & Flag.STALE).all(), "nothing of it was believed"
     sent = rows["tau_sent"][k:, :3]
     assert np.nanmax(np.abs(sent - rows["tau_sent"][k - 1, :3])) < 0.2, "until nothing is sent, and its servos let go"
     assert np.isnan(sent[-1]).all()
+
+
+@pytest.mark.fault("S5")
+def test_an_arm_that_is_limp_because_its_encoder_has_jumped_is_not_brought_back_by_its_guard_either() -> None:
+    left = GuardedRun(CELL, {"left": End(1.0)}, UNTIL_S, jumps(0.3)).arms["left"]
+    assert isinstance(left, Guarded)
+    assert left.summary is not None
+    assert left.summary.mode is Mode.FAULT
+    assert "it had not seen the arm: its servos have let go" in left.summary.reason
+    assert not any(ns > left.died_ns for ns in left.torques_ns)

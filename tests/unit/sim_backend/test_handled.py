@@ -10,9 +10,9 @@ import pytest
 
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
-from sim_backend.physics.composition import arm_model
 from sim_backend.physics.handled import HandledPlant
 from sim_backend.physics.spec import GraspSpec
+from tests.support.plant.kinematics import end_effector
 from tests.support.plant.plant_cells import planar_cell
 
 K_N_PER_M, K_NM_PER_RAD = 3e3, 20.0
@@ -84,10 +84,7 @@ def test_a_grasp_closes_on_what_has_moved_since_the_last_look() -> None:
 def test_its_end_effectors_are_where_its_joints_say_while_it_moves() -> None:
     plant = cell()
     plant.advance(ZERO, 13)
-    for i, (arm, own) in enumerate(zip(plant.spec.arms, plant.slices, strict=True)):
-        model = arm_model(arm)
-        data, frame = model.createData(), max(k for k, f in enumerate(model.frames) if f.name == "ee")
+    for i, own in enumerate(plant.slices):
         pose = plant.end_effector(i)
-        pin.forwardKinematics(model, data, plant.q[own])
-        expected = arm.T_world_base * pin.updateFramePlacement(model, data, frame)
+        expected, _ = end_effector(plant.spec, i, plant.q[own])
         np.testing.assert_allclose(pose.homogeneous, expected.homogeneous, atol=1e-12)

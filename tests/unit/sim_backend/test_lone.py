@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
-from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
-from sim_backend.physics.composition import arm_model
 from sim_backend.physics.friction import FrictionSpec
 from sim_backend.physics.lone import LoneArm
 from sim_backend.physics.spec import PlantError, PlantSpec
+from tests.support.plant.kinematics import end_effector
 from tests.support.plant.plant_cells import planar_cell, spatial_cell
 
 ONE = np.ones(3)
@@ -26,18 +24,6 @@ def planar(friction: FrictionSpec | None = None) -> PlantSpec:
     return replace(spec, arms=arms, gravity=np.zeros(3))
 
 
-def kinematics(spec: PlantSpec, arm: int, q: Vector) -> tuple[pin.SE3, Vector]:
-    """Pose of its end effector in the world, and its Jacobian (6, n), world axes."""
-    model = arm_model(spec.arms[arm])
-    data, base = model.createData(), spec.arms[arm].T_world_base
-    frame = max(i for i, f in enumerate(model.frames) if f.name == "ee")
-    pin.forwardKinematics(model, data, q)
-    pose = base * pin.updateFramePlacement(model, data, frame)
-    J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-    R = base.rotation
-    return pose, np.vstack([R @ J[:3], R @ J[3:]])
-
-
 @pytest.mark.parametrize("spec", [planar(), spatial_cell(2)], ids=["planar", "spatial"])
 def test_what_touches_it_pushes_where_the_end_effector_is_now(spec: PlantSpec) -> None:
     n = len(spec.arms[1].controlled)
@@ -47,10 +33,10 @@ def test_what_touches_it_pushes_where_the_end_effector_is_now(spec: PlantSpec) -
     zero, begin = np.zeros(n), touched.q.copy()
     for _ in range(150):
         touched.advance(zero)
-        told.advance(kinematics(spec, 1, told.q + 0.5 * told.substep_s * told.dq)[1].T @ wrench)
+        told.advance(end_effector(spec, 1, told.q + 0.5 * told.substep_s * told.dq)[1].T @ wrench)
     assert np.abs(touched.q - begin).max() > 0.1, "far enough for the Jacobian to be another one"
     np.testing.assert_allclose(touched.q, told.q, atol=1e-10)
-    pose, expected = touched.end_effector(), kinematics(spec, 1, touched.q)[0]
+    pose, expected = touched.end_effector(), end_effector(spec, 1, touched.q)[0]
     np.testing.assert_allclose(pose.homogeneous, expected.homogeneous, atol=1e-12)
     touched.touch(np.zeros(6))
     touched.advance(zero)
