@@ -173,6 +173,20 @@ def test_a_seldom_message_has_its_time_like_one_of_many_before_it_is_sent_again(
     assert sent == source.written
 
 
+def test_a_seldom_message_that_got_lost_is_sent_again_as_soon_as_one_of_many() -> None:
+    source, recorder = Numbers(1000), Recorder()
+    sender, again = Sender(source, window=None), list[float]()
+    for tenth in range(400):
+        if tenth in (0, 300):
+            source.written += 1
+        for header, payload in sender.new(3, tenth / 10):
+            if tenth < 300:
+                recorder.receive(header, payload)
+        sender.on_status(recorder.status(), tenth / 10)
+        again += [tenth / 10 for _ in sender.again(3, tenth / 10)]
+    assert 30.0 + 0.8 <= again[0] <= 30.0 + 1.2
+
+
 def test_patience_grows_while_nothing_helps_so_a_deaf_recorder_is_not_flooded() -> None:
     source = Numbers(1000)
     source.written = 4
